@@ -1,0 +1,1 @@
+"""The world (evaluator.sim) and the judge."""

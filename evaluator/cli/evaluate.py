@@ -1,0 +1,71 @@
+"""``rema evaluate``: run a policy over frozen scenarios and print its rate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from evaluator.protocol import PROTOCOLS
+from rema_data.schema import TASKS
+
+__all__ = ["evaluate"]
+
+
+@click.command()
+@click.argument("policy")
+@click.option("--task", required=True, type=click.Choice(list(TASKS)), help="What has to be done.")
+@click.option("--checkpoint", type=click.Path(path_type=Path), help="Weights, handed to the policy.")
+@click.option("--episodes", type=click.IntRange(min=1), default=10_000, show_default=True, help="First N scenarios.")
+@click.option("--workers", type=click.IntRange(min=1), help="Simulation processes.  [default: one a core]")
+@click.option("--engine", type=click.Choice(["process", "inline"]), default="process", show_default=True)
+@click.option("--protocol", type=click.Choice(list(PROTOCOLS)), default="conditional", show_default=True)
+@click.option("--split", type=click.Choice(["test", "val"]), default="test", show_default=True)
+@click.option("--output", type=click.Path(path_type=Path), help="Run folder.  [default: runs/POLICY-TASK-PROTOCOL]")
+@click.option("--device", default="cpu", show_default=True, help="Handed to the policy, such as cuda:0.")
+@click.option("--batch-size", type=click.IntRange(min=1), default=64, show_default=True, help="Observations a call.")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary object alone.")
+def evaluate(
+    policy: str,
+    task: str,
+    checkpoint: Path | None,
+    episodes: int,
+    workers: int | None,
+    engine: str,
+    protocol: str,
+    split: str,
+    output: Path | None,
+    device: str,
+    batch_size: int,
+    as_json: bool,
+) -> None:
+    """Score POLICY on frozen scenarios and print its success rate with a 95 % interval.
+
+    POLICY is my_policy.py, my_policy.py:ClassName, or a built-in name: random, scripted.
+
+    A run that was stopped goes on where it stopped: run the same command again.
+    """
+    # Imported here, so that a mistyped option is answered at once.
+    from evaluator.cli.progress import StderrProgress
+    from evaluator.cli.result import print_result
+    from evaluator.policy.loading import check_checkpoint, resolve
+    from evaluator.runner import EvaluationConfig, run_evaluation
+
+    spec = resolve(policy)
+    name = f"{spec.name}-{task}-{protocol}" + ("" if split == "test" else f"-{split}")
+    config = EvaluationConfig(
+        policy=spec,
+        task=task,
+        output=output or Path("runs") / name,
+        checkpoint=check_checkpoint(checkpoint),
+        device=device,
+        protocol=protocol,
+        split=split,
+        episodes=episodes,
+        engine=engine,
+        workers=workers,
+        batch_size=batch_size,
+    )
+    with StderrProgress() as progress:
+        result = run_evaluation(config, progress)
+    print_result(result.summary, result.folder, as_json)

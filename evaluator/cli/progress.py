@@ -1,0 +1,87 @@
+"""Progress on stderr: bars with rate and time left on a terminal, a line now and then in a log file."""
+
+from __future__ import annotations
+
+import logging
+import time
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console
+from rich.logging import RichHandler
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+__all__ = ["StderrProgress"]
+
+_LINE_EVERY_S = 30.0
+
+
+class _Rate(ProgressColumn):
+    """Items a second, over the whole phase once it is done."""
+
+    def render(self, task: Task) -> Text:
+        speed = task.finished_speed or task.speed
+        return Text("" if speed is None else f"{speed:,.1f}/s", style="progress.data.speed")
+
+
+class StderrProgress:
+    """Shows phases and notes on stderr, as a context manager (the runner's ``ProgressSink``).
+
+    Warnings of the library appear above the bars meanwhile.
+    """
+
+    def __init__(self) -> None:
+        self._console = Console(stderr=True)
+        columns = (TextColumn("{task.description:>14}"), BarColumn(None), MofNCompleteColumn(), _Rate())
+        self._bars = Progress(*columns, TimeRemainingColumn(elapsed_when_finished=True), console=self._console)
+        self._bar: int | None = None
+        self._live = self._console.is_terminal
+        self._name, self._total, self._done = "", 0, 0
+        self._began = self._line = time.monotonic()
+        self._handler = RichHandler(console=self._console, show_path=False, show_time=False, markup=False)
+
+    def __enter__(self) -> Self:
+        logging.getLogger("evaluator").addHandler(self._handler)
+        if self._live:
+            self._bars.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._end_phase()
+        if self._live:
+            self._bars.stop()
+        logging.getLogger("evaluator").removeHandler(self._handler)
+
+    def phase(self, name: str, total: int) -> None:
+        """A phase of ``total`` items begins."""
+        self._end_phase()
+        self._name, self._total, self._done = name, total, 0
+        self._began = self._line = time.monotonic()
+        if self._live:
+            self._bar = self._bars.add_task(name, total=total)
+
+    def advance(self, n: int) -> None:
+        """So many items more are done."""
+        self._done += n
+        if self._live and self._bar is not None:
+            self._bars.advance(self._bars.task_ids[-1], n)
+        elif not self._live and time.monotonic() - self._line > _LINE_EVERY_S:
+            self._line = time.monotonic()
+            self._write_line()
+
+    def note(self, text: str) -> None:
+        """Something worth a line."""
+        self._console.print(text, markup=False, highlight=False)
+
+    def _end_phase(self) -> None:
+        if self._name and not self._live:
+            self._write_line()
+        self._name = ""
+
+    def _write_line(self) -> None:
+        seconds = time.monotonic() - self._began
+        rate = f", {self._done / seconds:,.1f}/s" if seconds > 0 else ""
+        self.note(f"{self._name}: {self._done}/{self._total} in {seconds:.1f} s{rate}")

@@ -1,0 +1,78 @@
+"""What ``rema evaluate`` prints at its end."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from evaluator.statistics import format_rate
+
+__all__ = ["print_result"]
+
+_BAR_WIDTH = 30
+
+
+def print_result(summary: dict[str, Any], folder: Path, as_json: bool) -> None:
+    """Print the summary of a run on stdout: as a JSON object alone, or as tables for people."""
+    if as_json:
+        click.echo(json.dumps(summary, indent=2))
+        return
+    console = Console()
+    console.print()
+    console.print(_facts(summary))
+    if summary["failures"]:
+        console.print(_failures(summary))
+    console.print(_seconds(summary))
+    console.print(Text(f"run folder: {folder}"), soft_wrap=True)
+
+
+def _facts(summary: dict[str, Any]) -> Table:
+    table = Table(show_header=False, box=None, padding=(0, 1))
+    table.add_column(justify="right", style="dim")
+    table.add_column(overflow="fold")
+    privileged = " (privileged: sees the ground truth)" if summary.get("privileged") else ""
+    table.add_row("policy", Text(f"{summary['policy']}{privileged}"))
+    table.add_row("task", Text(f"{summary['task']}, {summary['protocol']}"))
+    successes, eligible = summary["successes"], summary["eligible"]
+    rate = Text(format_rate(successes, eligible), style="bold")
+    table.add_row("success rate", rate.append(" (Wilson 95 %)" if eligible else " (no eligible episode)", style="dim"))
+    table.add_row("successes", Text(f"{successes:,} of {eligible:,} eligible episodes"))
+    if summary["policy_errors"]:
+        table.add_row("policy errors", Text(f"{summary['policy_errors']:,} (counted as failures)", style="yellow"))
+    if summary["infra_errors"]:
+        low, high = summary.get("success_rate_bounds") or (None, None)
+        bounds = "" if low is None else f"; the rate is in {100 * low:.1f} .. {100 * high:.1f} % whatever they were"
+        table.add_row("infra errors", Text(f"{summary['infra_errors']:,} (not counted){bounds}", style="red"))
+    for step in summary.get("funnel") or []:
+        table.add_row(f"step {step['step']}", Text(f"{step['successes']:,} of {step['reached']:,} that reached it"))
+    return table
+
+
+def _failures(summary: dict[str, Any]) -> Table:
+    table = Table(box=None, padding=(0, 1), title="why episodes failed", title_justify="left", title_style="dim")
+    table.add_column(justify="right", header_style="dim")
+    table.add_column()
+    table.add_column(justify="right")
+    table.add_column(justify="right", style="dim")
+    counts = sorted(summary["failures"].items(), key=lambda item: (-item[1], item[0]))
+    largest = max((count for _, count in counts), default=0) or 1
+    for label, count in counts:
+        bar = Text("█" * max(1, round(_BAR_WIDTH * count / largest)) if count else "", style="red")
+        share = f"{100 * count / summary['eligible']:.1f} %" if summary["eligible"] else ""
+        table.add_row(Text(label), bar, f"{count:,}", share)
+    table.show_header = False
+    return table
+
+
+def _seconds(summary: dict[str, Any]) -> Text:
+    seconds = summary["seconds"]
+    phases = " + ".join(f"{name} {seconds[name]:.1f}" for name in ("observe", "infer", "simulate"))
+    speed = summary.get("episodes_per_second")
+    rate = "" if speed is None else f", {speed:,.1f} episodes/s"
+    return Text(f"{phases} = {seconds['total']:.1f} s{rate}, {summary['workers']} workers")

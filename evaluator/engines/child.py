@@ -1,0 +1,115 @@
+"""The parent side of one worker process: a fresh interpreter, alone in its group, silent, and killed with its parent."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import Any
+
+from evaluator.engines.worker import RAISED, VALUE
+from rema_data.errors import InfrastructureError
+
+__all__ = ["Child", "call_in_child"]
+
+THREAD_CAPS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+_TAIL_BYTES = 2000
+
+
+class Child:
+    """A started worker and the socket to it.
+
+    Parameters
+    ----------
+    mode : {"serve", "call"}
+        What the child does with ``target``; see ``evaluator.engines.worker``.
+    target : str
+        ``module:attribute``.
+
+    Notes
+    -----
+    The child is a fresh interpreter and no fork: it inherits neither threads nor simulators. Its thread counts are in
+    its environment before it imports anything, its standard output is discarded and its errors go to an unnamed file.
+    """
+
+    def __init__(self, mode: str, target: str) -> None:
+        ours, theirs = socket.socketpair()
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115 - closed by close_log
+        environment = {
+            **os.environ,
+            **dict.fromkeys(THREAD_CAPS, "1"),
+            "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path),
+            "PYTHONSAFEPATH": "1",  # a file of the working folder must not stand in for a module
+        }
+        descriptor = theirs.fileno()
+        arguments = [str(descriptor), str(os.getpid()), mode, target]
+        with theirs:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "evaluator.engines.worker", *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=self._log,
+                env=environment,
+                pass_fds=(descriptor,),
+                start_new_session=True,
+            )
+        self.channel = Connection(ours.detach())
+
+    def last_words(self) -> str:
+        """Exit status and the end of what the child wrote to standard error, after its end."""
+        self._log.seek(0, os.SEEK_END)
+        self._log.seek(max(0, self._log.tell() - _TAIL_BYTES))
+        said = self._log.read().decode(errors="replace").strip()
+        status = self.process.returncode
+        ending = f"killed by {signal.Signals(-status).name}" if status is not None and status < 0 else f"exit {status}"
+        return f"{ending}\n{said}" if said else ending
+
+    def stop(self, grace_s: float = 0.0) -> None:
+        """Close the socket, wait ``grace_s`` for the child to leave, then kill its whole group and reap it."""
+        self.channel.close()
+        if grace_s:
+            with suppress(subprocess.TimeoutExpired):
+                self.process.wait(grace_s)
+        # The group has the child's id, which stays taken until the child is reaped below.
+        if self.process.returncode is None:
+            with suppress(ProcessLookupError, PermissionError):
+                os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+
+    def close_log(self) -> None:
+        """Drop what the child wrote."""
+        self._log.close()
+
+
+def call_in_child(target: str, timeout_s: float = 120.0) -> Any:
+    """Value of ``target()`` computed in a fresh process, so that this one does not import what it needs.
+
+    Raises
+    ------
+    InfrastructureError
+        The call raised, died, or did not answer in time.
+    """
+    child = Child("call", target)
+    message: tuple[Any, ...] = ()
+    try:
+        if child.channel.poll(timeout_s):
+            with suppress(EOFError, OSError):
+                message = child.channel.recv()
+        child.stop(grace_s=0.0 if not message else 1.0)
+        if message and message[0] == VALUE:
+            return message[1]
+        reason = message[1] if message and message[0] == RAISED else child.last_words()
+    finally:
+        child.stop()
+        child.close_log()
+    raise InfrastructureError(
+        f"{target} did not answer in a process of its own: {reason.strip().splitlines()[-1]}",
+        hint="check the installation: pip install --force-reinstall rema",
+        target=target,
+        detail=reason,
+    )

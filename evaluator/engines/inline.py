@@ -1,0 +1,67 @@
+"""The reference engine: one loop in this process, for debuggers and for comparison with the others."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Iterable, Iterator
+
+from evaluator.engines.base import (
+    SIMULATOR,
+    InfraError,
+    Job,
+    JobResult,
+    Shard,
+    ShardResult,
+    StepSimulator,
+    load_attribute,
+)
+from rema_data.schema import StepOutcome
+
+__all__ = ["InlineEngine"]
+
+
+class InlineEngine:
+    """Runs every job here, one after the other.
+
+    Parameters
+    ----------
+    factory : str
+        ``module:attribute`` of a callable that returns a simulator.
+
+    Notes
+    -----
+    A simulator that kills its process kills this one; ``ProcessEngine`` survives that.
+    """
+
+    def __init__(self, factory: str = SIMULATOR) -> None:
+        self._factory = factory
+        self._simulator: StepSimulator | None = None
+
+    def map(self, shards: Iterable[Shard]) -> Iterator[ShardResult]:
+        """Run the shards in the order given; see ``Engine.map``."""
+        for shard in shards:
+            for job in shard:
+                yield (self._run(job),)
+
+    def _run(self, job: Job) -> JobResult:
+        """One job, tried a second time in a fresh simulator where the first raised."""
+        for attempt in (1, 2):
+            if self._simulator is None:
+                self._simulator = load_attribute(self._factory)()
+            start = time.perf_counter()
+            outcome: StepOutcome | InfraError
+            try:
+                outcome = self._simulator.run(job.situation, job.action)
+            except Exception:  # noqa: BLE001 - whatever it is, it is the result of this job
+                outcome = InfraError("raised", traceback.format_exc(limit=-5))
+                self.close()
+            if isinstance(outcome, StepOutcome):
+                break
+        return JobResult(job.key, outcome, time.perf_counter() - start, "inline", attempt)
+
+    def close(self) -> None:
+        """Close the simulator."""
+        if self._simulator is not None:
+            self._simulator.close()
+            self._simulator = None

@@ -1,0 +1,236 @@
+"""The default engine: supervised worker processes that may crash, hang or leak without harming the run."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from multiprocessing.connection import wait
+
+import psutil
+
+from evaluator.engines.base import SIMULATOR, InfraError, Job, JobResult, Shard, ShardResult, default_workers
+from evaluator.engines.child import Child
+from evaluator.engines.worker import DONE, RAISED, READY
+from rema_data.errors import InfrastructureError
+
+__all__ = ["ProcessEngine"]
+
+ATTEMPTS = 2
+"""An episode that costs this many workers is given up."""
+_LOW_WATER = 5
+"""A worker is given its next shard when this many jobs are left, so that it never waits for its parent."""
+_FAILED_STARTS = 3
+"""As many workers in a row that die before they are ready mean that none will be."""
+
+
+class _Worker:
+    """One seat: a child and the jobs it was given, in the order in which it runs them."""
+
+    def __init__(self, name: str, factory: str) -> None:
+        self.name = name
+        self.child = Child("serve", factory)
+        self.jobs: deque[Job] = deque()
+        self.ready = False
+        self.alone = False
+        self.retiring = False
+        self.served = 0
+        self.start_bytes = 0
+        self.raised = ""
+        self.heard = time.monotonic()
+
+    def give(self, jobs: Iterable[Job], alone: bool = False) -> None:
+        if not self.jobs:
+            self.heard = time.monotonic()
+        batch = tuple(jobs)
+        self.jobs.extend(batch)
+        self.alone = alone
+        with suppress(OSError):  # a worker that died a moment ago: the supervisor is about to read its end
+            self.child.channel.send(batch)
+
+    def resident_bytes(self) -> int:
+        try:
+            return int(psutil.Process(self.child.process.pid).memory_info().rss)
+        except psutil.Error:
+            return 0
+
+
+class ProcessEngine:
+    """Runs shards in worker processes, one simulator each.
+
+    Parameters
+    ----------
+    factory : str
+        ``module:attribute`` of a callable that returns a simulator; called once in every worker.
+    workers : int, optional
+        Number of processes; every core this process may use by default.
+    episode_limit_s : float
+        A worker that is silent for this long within one episode (or while it starts) is killed.
+    growth_limit_bytes : int
+        A worker whose resident memory grew by more than this since its start is replaced between shards.
+
+    Notes
+    -----
+    A dead worker's unfinished jobs go to others. The job it died in is tried once more, first and alone in a fresh
+    worker; if that dies too, the job's result is an ``InfraError`` and the run goes on. The cost beside the
+    simulator is one message per job, some tens of microseconds. Shards should stay below about 200 jobs, so that
+    handing one over never waits for the worker.
+    """
+
+    def __init__(
+        self,
+        factory: str = SIMULATOR,
+        workers: int | None = None,
+        *,
+        episode_limit_s: float = 120.0,
+        growth_limit_bytes: int = 200 * 2**20,
+    ) -> None:
+        self.workers = default_workers() if workers is None else workers
+        self.replaced = 0
+        self._factory = factory
+        self._limit_s = episode_limit_s
+        self._growth = growth_limit_bytes
+        self._seats: dict[str, _Worker] = {}
+        self._deaths: dict[int, int] = {}
+        self._suspects: deque[Job] = deque()
+        self._returned: deque[Shard] = deque()
+        self._failed_starts = 0
+
+    def map(self, shards: Iterable[Shard]) -> Iterator[ShardResult]:
+        """Run the shards; see ``Engine.map``.
+
+        Raises
+        ------
+        InfrastructureError
+            No worker can be started.
+        """
+        source = iter(shards)
+        self._deaths.clear()
+        self._suspects.clear()
+        self._returned.clear()
+        try:
+            while self._dispatch(source):
+                results = self._collect()
+                if results:
+                    yield tuple(results)
+        except BaseException:  # Ctrl-C and an abandoned iterator included: what runs is of no use to anybody
+            self._stop_all(grace_s=0.0)
+            raise
+
+    def close(self) -> None:
+        """Stop the workers."""
+        self._stop_all(grace_s=1.0)
+
+    def _stop_all(self, grace_s: float) -> None:
+        for worker in self._seats.values():
+            worker.child.channel.close()  # all leave at the same time
+        for worker in self._seats.values():
+            worker.child.stop(0.0 if worker.jobs else grace_s)
+            worker.child.close_log()
+        self._seats.clear()
+
+    def _next_shard(self, source: Iterator[Shard]) -> Shard | None:
+        return self._returned.popleft() if self._returned else next(source, None)
+
+    def _dispatch(self, source: Iterator[Shard]) -> bool:
+        """Fill the seats and give work to who has little; whether anything is under way."""
+        for name in [f"w{seat}" for seat in range(self.workers)]:
+            worker = self._seats.get(name)
+            if worker is not None and (worker.retiring or worker.alone or len(worker.jobs) >= _LOW_WATER):
+                continue
+            # A suspect runs first and alone, in a worker that has done nothing else.
+            if self._suspects and (worker is None or not (worker.served or worker.jobs)):
+                worker = worker or self._start(name)
+                worker.give((self._suspects.popleft(),), alone=True)
+                continue
+            shard = self._next_shard(source)
+            if shard:
+                (worker or self._start(name)).give(shard)
+        if self._suspects and not any(worker.jobs for worker in self._seats.values()):
+            self._retire(next(iter(self._seats.values())))  # idle and used: make room for a fresh one
+            return self._dispatch(source)
+        return any(worker.jobs for worker in self._seats.values())
+
+    def _start(self, name: str) -> _Worker:
+        worker = self._seats[name] = _Worker(name, self._factory)
+        return worker
+
+    def _retire(self, worker: _Worker) -> None:
+        del self._seats[worker.name]
+        worker.child.stop(grace_s=1.0)
+        worker.child.close_log()
+        self.replaced += 1
+
+    def _collect(self) -> list[JobResult]:
+        """Wait for messages, deaths or a deadline; results of everything that can be read at once."""
+        results: list[JobResult] = []
+        busy = [worker for worker in self._seats.values() if worker.jobs]
+        deadline = min(worker.heard for worker in busy) + self._limit_s
+        by_channel = {worker.child.channel: worker for worker in self._seats.values()}
+        for channel in wait(list(by_channel), max(0.0, deadline - time.monotonic())):
+            self._read(by_channel[channel], results)  # type: ignore[index]
+        now = time.monotonic()
+        for worker in list(self._seats.values()):
+            if worker.jobs and now - worker.heard > self._limit_s:
+                self._bury(worker, results, "hung", f"no sign of life for {self._limit_s:g} s")
+            elif not worker.jobs and worker.retiring:
+                self._retire(worker)
+        return results
+
+    def _read(self, worker: _Worker, results: list[JobResult]) -> None:
+        try:
+            while worker.child.channel.poll(0):
+                message = worker.child.channel.recv()
+                worker.heard = time.monotonic()
+                if message[0] == DONE:
+                    self._finish(worker, message[1], message[2], message[3], results)
+                elif message[0] == READY:
+                    worker.ready = True
+                    worker.start_bytes = worker.resident_bytes()
+                    self._failed_starts = 0
+                elif message[0] == RAISED:
+                    worker.raised = message[1]
+        except (EOFError, OSError):
+            self._bury(worker, results, "raised" if worker.raised else "died", worker.raised)
+
+    def _finish(self, worker: _Worker, key: int, outcome: object, seconds: float, results: list[JobResult]) -> None:
+        worker.jobs.popleft()
+        worker.served += 1
+        attempt = self._deaths.get(key, 0) + 1
+        results.append(JobResult(key, outcome, seconds, worker.name, attempt))  # type: ignore[arg-type]
+        if worker.alone or len(worker.jobs) in (0, _LOW_WATER):
+            worker.alone = False
+            worker.retiring |= worker.resident_bytes() - worker.start_bytes > self._growth
+
+    def _bury(self, worker: _Worker, results: list[JobResult], reason: str, detail: str) -> None:
+        """Reap a dead or hung worker, hand its jobs on, and decide about the one it died in."""
+        del self._seats[worker.name]
+        seconds = time.monotonic() - worker.heard
+        worker.child.stop()
+        detail = detail or worker.child.last_words()
+        worker.child.close_log()
+        self.replaced += 1
+        if not worker.ready:
+            self._failed_starts += 1
+            if self._failed_starts >= _FAILED_STARTS:
+                raise InfrastructureError(
+                    f"simulation workers do not start: {detail.strip().splitlines()[-1]}",
+                    hint="run the same command with --engine inline to see the whole error",
+                    detail=detail,
+                )
+            if worker.alone:
+                self._suspects.extend(worker.jobs)
+            elif worker.jobs:
+                self._returned.appendleft(tuple(worker.jobs))
+            return
+        if not worker.jobs:
+            return
+        job = worker.jobs.popleft()
+        deaths = self._deaths[job.key] = self._deaths.get(job.key, 0) + 1
+        if deaths >= ATTEMPTS:
+            results.append(JobResult(job.key, InfraError(reason, detail), seconds, worker.name, deaths))
+        else:
+            self._suspects.append(job)
+        if worker.jobs:
+            self._returned.appendleft(tuple(worker.jobs))

@@ -1,0 +1,30 @@
+"""Policies: what a submitter writes, how it is found, and the separate process that it runs in.
+
+::
+
+    loading   "my_policy.py:Name" or a built-in name  ->  PolicySpec (a file and a class, nothing imported)
+    host      the judge's end: one child process, deadlines, contract checks  ->  answers or counted faults
+    child     the policy's end: imports the file and answers batches
+    wire      the frames between both ends
+"""
+
+from __future__ import annotations
+
+from evaluator.policy.faults import Answer, PolicyFault
+from evaluator.policy.host import PolicyHost, PolicyLimits
+from evaluator.policy.interface import ObservationBatch, Policy, PrivilegedPolicy
+from evaluator.policy.loading import BUILT_INS, PolicySpec, digest, resolve
+
+__all__ = [
+    "BUILT_INS",
+    "Answer",
+    "ObservationBatch",
+    "Policy",
+    "PolicyFault",
+    "PolicyHost",
+    "PolicyLimits",
+    "PolicySpec",
+    "PrivilegedPolicy",
+    "digest",
+    "resolve",
+]

@@ -1,0 +1,167 @@
+"""The policy's own process: imports the submitted file, then answers batches until the judge hangs up.
+
+Started as ``python -m evaluator.policy.child REQUEST_FD REPLY_FD`` by the host. Whatever the policy prints goes to the
+host's log; questions and replies have pipes of their own.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+import io
+import os
+import queue
+import resource
+import signal
+import sys
+import threading
+import traceback
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evaluator.policy.interface import ObservationBatch
+from evaluator.policy.wire import MAX_HEADER, frame_parts, read_batch, read_frame, situations_from_header
+
+_TRACEBACK_LINES = 12
+_MESSAGE_CHARACTERS = 2000
+_PR_SET_PDEATHSIG = 1
+_ANY_SIZE = 1 << 40
+
+Question = tuple[dict[str, Any], dict[str, Any]]
+
+
+class Refusal(Exception):
+    """Why the policy cannot be used, in words for its author."""
+
+
+def main(arguments: list[str]) -> None:
+    """Load the policy named by the first question, then answer the others."""
+    _die_with_parent()
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    request_fd, reply_fd = (int(text) for text in arguments)
+    questions: queue.Queue[Question] = queue.Queue()
+    threading.Thread(target=_listen, args=(request_fd, questions), daemon=True).start()
+
+    order, _ = questions.get()
+    own_folder = str(Path(order["path"]).parent) + os.sep
+    try:
+        policy, privileged = _load(order)
+    except BaseException as error:  # noqa: BLE001 - whatever it raises is the answer
+        _reply(reply_fd, {"op": "loaded", "ok": False, **_describe(error, own_folder)})
+        return
+    _reply(reply_fd, {"op": "loaded", "ok": True, "privileged": privileged})
+    while True:
+        header, arrays = questions.get()
+        if header["op"] == "close":
+            return
+        reply, answer = _act(policy, privileged, header, arrays, own_folder)
+        _reply(reply_fd, {"op": "acted", "number": header["number"], **reply}, answer)
+
+
+def _die_with_parent() -> None:
+    """Let the kernel end this process with the judge, also while the policy holds the interpreter."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+def _listen(request_fd: int, questions: queue.Queue[Question]) -> None:
+    """Queue every question; when the judge is gone, end the whole process group."""
+    try:
+        with io.BufferedReader(io.FileIO(request_fd), 1 << 20) as stream:
+
+            def read(count: int) -> bytearray:
+                data = bytearray(count)
+                if stream.readinto(data) != count:
+                    raise EOFError
+                return data
+
+            op = ""
+            while op != "close":
+                question = read_frame(read, MAX_HEADER, _ANY_SIZE)
+                op = question[0]["op"]
+                questions.put(question)
+    except BaseException:  # noqa: BLE001 - the judge is gone, whatever the reason
+        os.killpg(0, signal.SIGKILL)
+
+
+def _load(order: dict[str, Any]) -> tuple[Any, bool]:
+    path = Path(order["path"])
+    sys.path.insert(0, str(path.parent))
+    name = f"submitted_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise Refusal(f"{path} is not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses and pickles look their module up
+    spec.loader.exec_module(module)
+    kind = getattr(module, order["class_name"], None)
+    if not isinstance(kind, type):
+        found = [key for key, value in vars(module).items() if isinstance(value, type) and value.__module__ == name]
+        raise Refusal(
+            f"{path.name} has no class {order['class_name']}; it defines {', '.join(found) or 'no class'}: "
+            f"name one as {path.name}:ClassName"
+        )
+    if not callable(getattr(kind, "act", None)):
+        raise Refusal(f"class {order['class_name']} of {path.name} has no method act(observations)")
+    checkpoint = None if order["checkpoint"] is None else Path(order["checkpoint"])
+    return kind(checkpoint, order["device"]), getattr(kind, "privileged", False) is True
+
+
+def _act(
+    policy: Any, privileged: bool, header: dict[str, Any], arrays: dict[str, Any], own_folder: str
+) -> tuple[dict[str, Any], np.ndarray[Any, Any] | None]:
+    """Ask the policy; the reply's header, and the answer where there is one."""
+    batch: ObservationBatch = read_batch(header, arrays)
+    count = len(batch)
+    try:
+        if privileged:
+            answer = np.asarray(policy.act(batch, situations_from_header(header)))
+        else:
+            answer = np.asarray(policy.act(batch))
+    except BaseException as error:  # noqa: BLE001 - whatever it raises is the answer
+        return {"ok": False, "reason": "exception", **_describe(error, own_folder)}, None
+    if answer.shape not in ((count, 3), (count,)):
+        detail = f"returned shape {answer.shape}, expected ({count}, 3) or ({count},)"
+        return {"ok": False, "reason": "wrong_shape", "message": detail, "where": ""}, None
+    if answer.dtype.kind not in "biuf":
+        detail = f"returned dtype {answer.dtype}, expected integers"
+        return {"ok": False, "reason": "wrong_dtype", "message": detail, "where": ""}, None
+    return {"ok": True}, answer
+
+
+def _describe(error: BaseException, own_folder: str) -> dict[str, str]:
+    """What was raised, where in the submitter's code, and the last lines of the traceback from there on."""
+    if isinstance(error, Refusal):
+        return {"message": str(error), "where": "", "traceback": ""}
+    start = error.__traceback__
+    while start is not None and start.tb_frame.f_code.co_filename.startswith((__file__, "<frozen importlib")):
+        start = start.tb_next  # the frames of this file say nothing to a submitter
+    where = ""
+    if isinstance(error, SyntaxError) and error.filename:
+        where = f"{error.filename}:{error.lineno}"
+    for frame in traceback.extract_tb(start):
+        if frame.filename.startswith(own_folder):
+            where = f"{frame.filename}:{frame.lineno}"
+    try:
+        message, lines = f"{type(error).__name__}: {error}", traceback.format_exception(type(error), error, start)
+    except Exception:  # noqa: BLE001 - an exception whose text raises in turn
+        message, lines = type(error).__name__, []
+    return {
+        "message": message[:_MESSAGE_CHARACTERS],
+        "where": where,
+        "traceback": "\n".join("".join(lines).splitlines()[-_TRACEBACK_LINES:])[:_MESSAGE_CHARACTERS],
+    }
+
+
+def _reply(reply_fd: int, header: dict[str, Any], answer: np.ndarray[Any, Any] | None = None) -> None:
+    arrays = {} if answer is None else {"answer": (answer, 1)}
+    for part in frame_parts(header, arrays):
+        view = memoryview(part)
+        while view:
+            view = view[os.write(reply_fd, view) :]
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,98 @@
+"""Answers of a policy: a valid grid index, or the reason why there is none.
+
+A fault is data, not an exception: the episode counts as failed and stays in the denominator.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+import numpy.typing as npt
+
+from rema_data import grid
+
+__all__ = ["Answer", "FaultReason", "PolicyFault", "check_answer"]
+
+_BOUNDS = (grid.SCENE_PIXELS, grid.SCENE_PIXELS, grid.ANGLES)
+
+
+class FaultReason(StrEnum):
+    """Why a policy gave no action for an episode."""
+
+    EXCEPTION = "exception"  # act() raised
+    TIMEOUT = "timeout"  # no answer before the deadline: the process was killed
+    DIED = "died"  # the process ended
+    RESTART = "restart"  # the process could not be started again after a death
+    SHAPE = "wrong_shape"  # neither (N, 3) nor (N,)
+    DTYPE = "wrong_dtype"  # not integers
+    NAN = "nan"  # not even numbers
+    RANGE = "out_of_range"  # outside the 64 x 64 x 16 grid
+    INVALID = "invalid_action"  # on the grid, but not in `valid`
+    PROTOCOL = "protocol"  # bytes that are not a reply to the question
+
+
+@dataclass(frozen=True, slots=True)
+class PolicyFault:
+    """No action for one episode.
+
+    Attributes
+    ----------
+    reason : str
+        One of ``FaultReason``.
+    detail : str
+        What was answered, or where it was raised.
+    """
+
+    reason: str
+    detail: str
+
+
+Answer = int | PolicyFault
+
+
+def check_answer(answer: npt.NDArray[np.generic], valid: npt.NDArray[np.bool_]) -> list[Answer]:
+    """Grid indices of an answer, or a fault for every episode whose action cannot be used.
+
+    Parameters
+    ----------
+    answer : array
+        What the policy returned.
+    valid : bool (N, 64, 64, 16)
+
+    Returns
+    -------
+    list of int or PolicyFault
+        One an observation. A wrong shape or type is a fault of all of them.
+    """
+    count = len(valid)
+    if answer.shape not in ((count, 3), (count,)):
+        detail = f"returned shape {answer.shape}, expected ({count}, 3) or ({count},)"
+        return [PolicyFault(FaultReason.SHAPE, detail)] * count
+    if answer.dtype.kind not in "iu":
+        return [_wrong_number(row, answer.dtype) for row in answer]
+    if answer.ndim == 1:
+        return [_check_index(int(index), valid[n]) for n, index in enumerate(answer)]
+    return [_check_cell((int(row[0]), int(row[1]), int(row[2])), valid[n]) for n, row in enumerate(answer)]
+
+
+def _wrong_number(row: npt.NDArray[np.generic], dtype: np.dtype[np.generic]) -> PolicyFault:
+    if dtype.kind in "fc" and not np.isfinite(row).all():
+        return PolicyFault(FaultReason.NAN, f"returned {np.asarray(row).tolist()}")
+    return PolicyFault(FaultReason.DTYPE, f"returned dtype {dtype}, expected integers")
+
+
+def _check_index(index: int, valid: npt.NDArray[np.bool_]) -> Answer:
+    if not 0 <= index < grid.ACTIONS:
+        return PolicyFault(FaultReason.RANGE, f"grid index {index} is not in 0..{grid.ACTIONS - 1}")
+    i, j, k = (int(part) for part in grid.decode(index))
+    return _check_cell((i, j, k), valid)
+
+
+def _check_cell(cell: tuple[int, int, int], valid: npt.NDArray[np.bool_]) -> Answer:
+    if any(not 0 <= part < bound for part, bound in zip(cell, _BOUNDS, strict=True)):
+        return PolicyFault(FaultReason.RANGE, f"action (i, j, k) = {cell} is not on the 64 x 64 x 16 grid")
+    if not valid[cell]:
+        return PolicyFault(FaultReason.INVALID, f"action (i, j, k) = {cell} is not in `valid`")
+    return int(grid.encode(*cell))

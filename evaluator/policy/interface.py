@@ -1,0 +1,86 @@
+"""What a policy sees and what it answers: the whole contract of a submission."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from rema_data.schema import Situation
+
+__all__ = ["ObservationBatch", "Policy", "PrivilegedPolicy"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObservationBatch:
+    """Observations of one step of one task: all that a policy is told.
+
+    Attributes
+    ----------
+    scene : float32 (N, 64, 64)
+        Height above the table, metres. Row i grows with world y, column j with world x; 4.5 mm a pixel.
+    end_effector : float32 (N, 112, 112, 4)
+        Depth (m) and mask of state 1, depth and mask of state 2 of what acts, at yaw 0. The mask is 1 where the topmost
+        body may touch the target.
+    primitive : str
+        ``grasp`` or ``push``.
+    embodiment : str
+        ``gripper``, ``tool``, ``sticks`` or ``pinched``.
+    task : str
+    step : int
+        0-based position in the task.
+    valid : bool (N, 64, 64, 16)
+        Which actions (row i, column j, angle k) may be answered. Angle k is the yaw ``k * 2 pi / 16``.
+    """
+
+    scene: npt.NDArray[np.float32]
+    end_effector: npt.NDArray[np.float32]
+    primitive: str
+    embodiment: str
+    task: str
+    step: int
+    valid: npt.NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        """Number of observations N."""
+        return len(self.scene)
+
+    def one(self, index: int) -> ObservationBatch:
+        """The batch that holds observation ``index`` alone."""
+        pick = slice(index, index + 1)
+        return ObservationBatch(
+            self.scene[pick],
+            self.end_effector[pick],
+            self.primitive,
+            self.embodiment,
+            self.task,
+            self.step,
+            self.valid[pick],
+        )
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """A contestant. It must not remember: the judge may ask in any order, in any batch, and in a new process."""
+
+    def __init__(self, checkpoint: Path | None, device: str) -> None: ...
+
+    def act(self, observations: ObservationBatch) -> npt.NDArray[Any]:
+        """Answer an integer array: (N, 3) of i, j, k, or (N,) of grid indices ``(i * 64 + j) * 16 + k``."""
+        ...
+
+
+@runtime_checkable
+class PrivilegedPolicy(Protocol):
+    """A reference that is shown the ground truth; every row that used it says so."""
+
+    privileged: ClassVar[bool] = True
+
+    def __init__(self, checkpoint: Path | None, device: str) -> None: ...
+
+    def act(self, observations: ObservationBatch, situations: tuple[Situation, ...]) -> npt.NDArray[Any]:
+        """Like ``Policy.act``, with the situation behind every observation."""
+        ...

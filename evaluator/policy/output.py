@@ -1,0 +1,98 @@
+"""What a policy prints: drained as fast as it comes, and only its beginning and its end are kept."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import select
+import threading
+from pathlib import Path
+
+from rema_data.storage import write_atomic
+
+__all__ = ["CappedOutput"]
+
+_CHUNK = 1 << 20
+_POLL_S = 0.2
+
+
+class CappedOutput:
+    """A pipe for a process's stdout and stderr that never fills, and a log file that never grows large.
+
+    Parameters
+    ----------
+    path : Path or None
+        The log file; None keeps the text in memory only.
+    head, tail : int
+        Bytes kept of the beginning and of the end.
+    """
+
+    def __init__(self, path: Path | None, head: int, tail: int) -> None:
+        self._head_limit, self._tail_limit = head, tail
+        self._head, self._tail = bytearray(), bytearray()
+        self._total = 0
+        self._path = path
+        self._lock = threading.Lock()
+        self._threads: list[tuple[threading.Thread, threading.Event]] = []
+
+    def open_pipe(self) -> int:
+        """Write end of a new pipe (a restarted process gets its own); close it after the process was started."""
+        reader, writer = os.pipe()
+        if hasattr(fcntl, "F_SETPIPE_SZ"):
+            fcntl.fcntl(writer, fcntl.F_SETPIPE_SZ, _CHUNK)
+        stop = threading.Event()
+        thread = threading.Thread(target=self._drain, args=(reader, stop), daemon=True)
+        thread.start()
+        self._threads = [entry for entry in self._threads if entry[0].is_alive()]
+        self._threads.append((thread, stop))
+        return writer
+
+    def _drain(self, reader: int, stop: threading.Event) -> None:
+        """Read until the end of the pipe; ``stop`` bounds the wait when a process that escaped holds it open."""
+        try:
+            while True:
+                ready, _, _ = select.select([reader], [], [], _POLL_S)
+                if not ready:
+                    if stop.is_set():
+                        return
+                    continue
+                chunk = os.read(reader, _CHUNK)
+                if not chunk:
+                    return
+                self._keep(chunk)
+                if stop.is_set() and self._total > self._head_limit:
+                    return
+        finally:
+            os.close(reader)
+
+    def _keep(self, chunk: bytes) -> None:
+        with self._lock:
+            self._total += len(chunk)
+            room = self._head_limit - len(self._head)
+            if room > 0:
+                self._head += chunk[:room]
+                chunk = chunk[room:]
+            if chunk:
+                self._tail += chunk[-self._tail_limit :]
+                del self._tail[: -self._tail_limit]
+
+    def settle(self) -> None:
+        """Wait for the pipes of ended processes, and write the log file."""
+        for thread, stop in self._threads:
+            stop.set()
+            thread.join(timeout=5 * _POLL_S)
+        self._threads.clear()
+        if self._path is not None:
+            write_atomic(self._path, self.text())
+
+    @property
+    def total(self) -> int:
+        """Bytes printed so far."""
+        return self._total
+
+    def text(self) -> str:
+        """The kept output, with a line that says how much was left out."""
+        with self._lock:
+            left_out = self._total - len(self._head) - len(self._tail)
+            middle = f"\n... {left_out} bytes left out ...\n" if left_out > 0 else ""
+            return self._head.decode(errors="replace") + middle + self._tail.decode(errors="replace")

@@ -1,0 +1,160 @@
+"""Frames between the judge and a policy: a small JSON header, then the bytes of its arrays. No pickle on either side.
+
+::
+
+    frame   = length of header (4 bytes, big endian) | header (JSON, UTF-8) | array bytes, one after the other
+    header  = {"op": ..., "arrays": [[name, dtype, shape, repeat], ...], ...}
+
+``repeat`` counts a first axis that was sent once because all its entries are equal: tool-free end effectors and the set
+of valid actions are the same in a whole batch.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from evaluator.policy.interface import ObservationBatch
+from rema_data.schema import Grip, Pinch, Placement, Situation, spec_from_dict, to_dict
+
+__all__ = [
+    "MAX_HEADER",
+    "WireError",
+    "batch_frame",
+    "frame_parts",
+    "read_batch",
+    "read_frame",
+    "situations_from_header",
+]
+
+MAX_HEADER = 16 << 20
+"""Longest header, bytes: room for the situations of a large batch."""
+_LENGTH = struct.Struct(">I")
+_KINDS = "biuf"
+
+Array = npt.NDArray[Any]
+Read = Callable[[int], bytes | bytearray]
+
+
+class WireError(Exception):
+    """Bytes that are not a frame."""
+
+
+def frame_parts(header: dict[str, Any], arrays: dict[str, tuple[Array, int]]) -> Iterator[bytes | memoryview]:
+    """The pieces of a frame, ready to be written; arrays are not copied where they are contiguous.
+
+    Parameters
+    ----------
+    header : dict
+        Anything that JSON holds, without ``arrays``.
+    arrays : dict of name -> (array, repeat)
+    """
+    contiguous = {name: (np.ascontiguousarray(array), repeat) for name, (array, repeat) in arrays.items()}
+    described = [[name, array.dtype.str, list(array.shape), repeat] for name, (array, repeat) in contiguous.items()]
+    text = json.dumps({**header, "arrays": described}).encode()
+    if len(text) > MAX_HEADER:
+        raise WireError(f"header of {len(text)} bytes")
+    yield _LENGTH.pack(len(text)) + text
+    for array, _ in contiguous.values():
+        if array.size:
+            yield array.data.cast("B")
+
+
+def read_frame(read: Read, max_header: int, max_bytes: int) -> tuple[dict[str, Any], dict[str, Array]]:
+    """One frame from ``read(count)``, which answers exactly ``count`` bytes; arrays are writable and expanded.
+
+    Raises
+    ------
+    WireError
+        When the bytes are no frame, or announce more than ``max_header`` or ``max_bytes``.
+    """
+    (length,) = _LENGTH.unpack(read(_LENGTH.size))
+    if length > max_header:
+        raise WireError(f"header of {length} bytes")
+    try:
+        header = json.loads(bytes(read(length)))
+        described = [_described(entry) for entry in header["arrays"]]
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise WireError(f"header is no description of a frame: {error}") from error
+    if sum(dtype.itemsize * math.prod(shape) * repeat for _, dtype, shape, repeat in described) > max_bytes:
+        raise WireError("arrays are too large")
+    arrays: dict[str, Array] = {}
+    for name, dtype, shape, repeat in described:
+        data = bytearray(read(dtype.itemsize * math.prod(shape)))
+        array = np.frombuffer(data, dtype).reshape(shape)
+        arrays[name] = np.repeat(array, repeat, axis=0) if repeat > 1 else array
+    return header, arrays
+
+
+def _described(entry: Any) -> tuple[str, np.dtype[Any], tuple[int, ...], int]:
+    name, dtype_name, shape, repeat = entry
+    dtype = np.dtype(str(dtype_name))
+    sizes = tuple(int(size) for size in shape)
+    if dtype.kind not in _KINDS or min((*sizes, int(repeat)), default=0) < 0 or len(sizes) > 8:
+        raise ValueError(f"array {name} of {dtype} {sizes}")
+    return str(name), dtype, sizes, int(repeat)
+
+
+def batch_frame(
+    number: int, batch: ObservationBatch, situations: tuple[Situation, ...] | None
+) -> Iterator[bytes | memoryview]:
+    """The question ``number``: act on this batch."""
+    header: dict[str, Any] = {
+        "op": "act",
+        "number": number,
+        "primitive": batch.primitive,
+        "embodiment": batch.embodiment,
+        "task": batch.task,
+        "step": batch.step,
+    }
+    if situations is not None:
+        header["situations"] = [to_dict(situation) for situation in situations]
+    arrays = {
+        "scene": (batch.scene, 1),
+        "end_effector": _once_if_equal(batch.end_effector),
+        "valid": _once_if_equal(batch.valid),
+    }
+    return frame_parts(header, arrays)
+
+
+def _once_if_equal(array: Array) -> tuple[Array, int]:
+    """The first entry and how often it repeats, when all entries are equal; else the array itself."""
+    count = len(array)
+    if count > 1 and (array.strides[0] == 0 or all(np.array_equal(array[0], entry) for entry in array[1:])):
+        return array[:1], count
+    return array, 1
+
+
+def read_batch(header: dict[str, Any], arrays: dict[str, Array]) -> ObservationBatch:
+    """The batch of a question."""
+    return ObservationBatch(
+        arrays["scene"],
+        arrays["end_effector"],
+        header["primitive"],
+        header["embodiment"],
+        header["task"],
+        header["step"],
+        arrays["valid"],
+    )
+
+
+def situations_from_header(header: dict[str, Any]) -> tuple[Situation, ...]:
+    """The situations of a question to a privileged policy."""
+    return tuple(_situation(row) for row in header["situations"])
+
+
+def _situation(row: dict[str, Any]) -> Situation:
+    target = Placement(**_with_spec(row["target"]))
+    grips = tuple(Grip(**_with_spec(grip)) for grip in row["grips"])
+    pinch = None if row["pinch"] is None else Pinch(**_with_spec(row["pinch"]))
+    return Situation(row["task"], row["step"], target, grips, pinch)
+
+
+def _with_spec(row: dict[str, Any]) -> dict[str, Any]:
+    return {**row, "spec": spec_from_dict(row["spec"])}

@@ -1,0 +1,94 @@
+"""The protocol of a run, in words and numbers, and its hash: rows of a table compare only where the hashes agree."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Any
+
+from evaluator.sim.parameters import WORLD, parameters_hash
+from rema_data import grid
+from rema_data.errors import InputError
+from rema_data.schema import SCHEMA_VERSION, TASKS, Embodiment, Primitive, StepKind, check_task
+
+__all__ = ["PROTOCOLS", "protocol", "protocol_hash"]
+
+PROTOCOLS: dict[str, str] = {
+    "conditional": (
+        "Only the last step is played, with the reference tools of the scenario in hand: every policy faces the same "
+        "situations. The rate is that of the last step."
+    ),
+    "end-to-end": (
+        "Every step is played from empty hands with the policy's own picks; an episode ends at its first failed step. "
+        "The rate is that of the whole task."
+    ),
+}
+"""Protocol names, and what they mean."""
+
+
+def protocol(task: str, name: str) -> dict[str, Any]:
+    """Everything that decides what a rate of ``task`` means, ready for JSON.
+
+    Parameters
+    ----------
+    task : str
+    name : str
+        ``conditional`` or ``end-to-end``.
+
+    Raises
+    ------
+    InputError
+        When there is no such task or protocol.
+    """
+    kinds = TASKS[check_task(task)]
+    if name not in PROTOCOLS:
+        raise InputError(f"unknown protocol {name!r}", hint=f"choose one of: {', '.join(PROTOCOLS)}", protocol=name)
+    return {
+        "version": 1,
+        "schema_version": SCHEMA_VERSION,
+        "name": name,
+        "meaning": PROTOCOLS[name],
+        "task": task,
+        "steps": [
+            {"primitive": str(kind.primitive), "embodiment": str(kind.embodiment), "success": _criterion(kind)}
+            for kind in kinds
+        ],
+        "scored_steps": [len(kinds) - 1] if name == "conditional" else list(range(len(kinds))),
+        "policy_errors": "An answer that is no valid action, and no answer, are failures: always in the denominator.",
+        "infrastructure_errors": "Not eligible: neither success nor failure; counted, and both bounds are printed.",
+        "grid": {
+            "pixel_m": grid.PIXEL_M,
+            "scene_pixels": grid.SCENE_PIXELS,
+            "end_effector_pixels": grid.EE_PIXELS,
+            "angles": grid.ANGLES,
+            "pair_angles": grid.PAIR_ANGLES,
+            "valid_margin_pixels": grid.VALID_MARGIN,
+        },
+        "parameters_hash": parameters_hash(),
+    }
+
+
+def _criterion(kind: StepKind) -> str:
+    """What counts as success of a step, with its thresholds."""
+    if kind.primitive is Primitive.PUSH:
+        goal = f"the target's centre of mass moves at least {WORLD.push_success_m:g} m in +x, measured at rest"
+    else:
+        lift_m = WORLD.pair_success_lift_m if kind.embodiment.two_arms else WORLD.grasp_success_lift_m
+        goal = (
+            f"the target's centre of mass rises at least {lift_m:g} m and is still held after {WORLD.hold_steps} steps"
+        )
+    rules = {
+        Embodiment.GRIPPER: "",
+        Embodiment.TOOL: "; only the held tool may touch the target",
+        Embodiment.STICKS: "; only the held sticks may touch the target",
+        Embodiment.PINCHED: "; only the pinched object may touch the target",
+    }
+    kept = "" if kind.embodiment is Embodiment.GRIPPER else f"; no tool slips more than {WORLD.max_tool_slip_m:g} m"
+    stop = f"; a descent that meets more than {WORLD.stop_force_n:g} N ends the attempt"
+    return goal + rules[kind.embodiment] + kept + stop
+
+
+def protocol_hash(task: str, name: str) -> str:
+    """sha256 (hexadecimal) of the canonical JSON of ``protocol(task, name)``."""
+    text = json.dumps(protocol(task, name), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,232 @@
+"""What a run has on disk while it goes on: append-only JSON lines, one segment file a process that wrote.
+
+``answers-0001.jsonl`` holds what the policy answered, ``outcomes-0001.jsonl`` what the simulator did with it. A process
+that was killed leaves at most one torn line at the end of its segments; the next process starts segments of its own.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from evaluator.engines.base import InfraError
+from rema_data.errors import IntegrityError
+from rema_data.schema import Failure, StepOutcome, outcome_from_dict
+from rema_data.storage import storage_errors, sync_folder
+
+__all__ = ["Answered", "Journal", "Ledger", "Simulated", "read_journal"]
+
+ANSWERS = "answers"
+OUTCOMES = "outcomes"
+POLICY_FAULT = StepOutcome(False, Failure.POLICY_ERROR)
+"""The outcome of a step for which the policy gave no action."""
+
+
+@dataclass(frozen=True, slots=True)
+class Answered:
+    """What the policy said about one step of one episode: a grid index, or the reason and detail of a fault."""
+
+    index: int
+    step: int
+    action: int | None
+    reason: str | None = None
+    detail: str | None = None
+    segment: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """What came of one action: an outcome, or the infrastructure error that stands in for it."""
+
+    index: int
+    step: int
+    outcome: StepOutcome | InfraError
+    seconds: float
+    worker: str
+    attempt: int
+    segment: int = 0
+
+
+class Journal:
+    """An append-only file of JSON lines, created at the first line.
+
+    Parameters
+    ----------
+    folder : Path
+    name : str
+    segment : int
+        Number of the writing process.
+    sync_s : float
+        Lines reach the operating system at once and the disk at most this much later (and on ``close``).
+    """
+
+    def __init__(self, folder: Path, name: str, segment: int, sync_s: float = 1.0) -> None:
+        self.path = folder / f"{name}-{segment:04d}.jsonl"
+        self._sync_s = sync_s
+        self._descriptor: int | None = None
+        self._synced = time.monotonic()
+
+    def append(self, rows: Iterable[dict[str, Any]]) -> None:
+        """Write rows.
+
+        Raises
+        ------
+        StorageError
+            The disk is full; rows written before stay readable.
+        """
+        payload = b"".join(json.dumps(row, separators=(",", ":"), default=_plain).encode() + b"\n" for row in rows)
+        if not payload:
+            return
+        with storage_errors(self.path):
+            if self._descriptor is None:
+                self.path.parent.mkdir(parents=True, exist_ok=True)
+                self._descriptor = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_EXCL, 0o644)
+                sync_folder(self.path.parent)
+            while payload:
+                payload = payload[os.write(self._descriptor, payload) :]
+        if time.monotonic() - self._synced >= self._sync_s:
+            self.sync()
+
+    def sync(self) -> None:
+        """Wait until every line is on the disk."""
+        if self._descriptor is not None:
+            with storage_errors(self.path):
+                os.fsync(self._descriptor)
+        self._synced = time.monotonic()
+
+    def close(self) -> None:
+        """Sync and close."""
+        if self._descriptor is not None:
+            descriptor = self._descriptor
+            try:
+                self.sync()
+            finally:
+                self._descriptor = None
+                os.close(descriptor)
+
+
+def _plain(value: Any) -> Any:
+    """Numbers of numpy as Python's own."""
+    return value.item()
+
+
+def read_journal(folder: Path, name: str) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Segment number and content of every whole line, in the order of writing.
+
+    Raises
+    ------
+    IntegrityError
+        A line other than a torn last one is damaged.
+    """
+    for path in sorted(folder.glob(f"{name}-*.jsonl")):
+        segment = int(path.stem.rpartition("-")[2])
+        *lines, torn = path.read_bytes().split(b"\n")
+        for number, line in enumerate(lines, 1):
+            try:
+                row = json.loads(line)
+            except ValueError as error:
+                if number == len(lines) and not torn:
+                    break  # a power cut may leave rubbish instead of a torn line
+                raise IntegrityError(
+                    f"{path}, line {number} is damaged",
+                    hint=f"delete the line (its episode is redone) or the run folder {folder.parent}",
+                    path=str(path),
+                    line=number,
+                ) from error
+            yield segment, row
+
+
+class Ledger:
+    """Everything recorded in a run, in memory, with the journals that extend it.
+
+    Parameters
+    ----------
+    folder : Path
+        ``RUN/records``.
+    segment : int
+        Number under which this process writes.
+
+    Attributes
+    ----------
+    answers : dict of (index, step) to Answered
+    outcomes : dict of (index, step) to Simulated
+    contradictions : list of (index, step)
+        Steps that were simulated twice with different outcomes: the world was not deterministic.
+    """
+
+    def __init__(self, folder: Path, segment: int) -> None:
+        self.answers: dict[tuple[int, int], Answered] = {}
+        self.outcomes: dict[tuple[int, int], Simulated] = {}
+        self.contradictions: list[tuple[int, int]] = []
+        self.segment = segment
+        for number, row in read_journal(folder, ANSWERS):
+            self._keep_answer(Answered(**row, segment=number))
+        for number, row in read_journal(folder, OUTCOMES):
+            fields = dict(row)
+            error, outcome = fields.pop("error"), fields.pop("outcome")
+            record = outcome_from_dict(outcome) if error is None else InfraError(**error)
+            self._keep_outcome(Simulated(**fields, outcome=record, segment=number))
+        self._answers = Journal(folder, ANSWERS, segment)
+        self._outcomes = Journal(folder, OUTCOMES, segment)
+
+    def _keep_answer(self, record: Answered) -> bool:
+        return self.answers.setdefault((record.index, record.step), record) is record
+
+    def _keep_outcome(self, record: Simulated) -> None:
+        """Keep the first outcome, compare any second one, and let an outcome replace an infrastructure error."""
+        key = (record.index, record.step)
+        first = self.outcomes.get(key)
+        if first is None or isinstance(first.outcome, InfraError):
+            self.outcomes[key] = record
+        elif isinstance(record.outcome, StepOutcome) and _text(record.outcome) != _text(first.outcome):
+            self.contradictions.append(key)
+
+    def add_answers(self, records: Iterable[Answered]) -> None:
+        """Record answers and wait until they are on the disk; a step keeps its first answer."""
+        new = [record for record in records if self._keep_answer(record)]
+        self._answers.append({k: v for k, v in asdict(record).items() if k != "segment"} for record in new)
+        self._answers.sync()
+
+    def add_outcomes(self, records: Iterable[Simulated]) -> None:
+        """Record outcomes."""
+        rows = []
+        for record in records:
+            self._keep_outcome(record)
+            failed = isinstance(record.outcome, InfraError)
+            content = asdict(record.outcome)
+            rows.append(
+                {
+                    "index": record.index,
+                    "step": record.step,
+                    "outcome": None if failed else content,
+                    "error": content if failed else None,
+                    "seconds": round(record.seconds, 6),
+                    "worker": record.worker,
+                    "attempt": record.attempt,
+                }
+            )
+        self._outcomes.append(rows)
+
+    def result(self, index: int, step: int) -> StepOutcome | InfraError | None:
+        """What came of a step: an outcome (of the simulator, or that of a policy's fault), an error, or nothing yet."""
+        answer = self.answers.get((index, step))
+        if answer is not None and answer.action is None:
+            return POLICY_FAULT
+        record = self.outcomes.get((index, step))
+        return None if record is None else record.outcome
+
+    def close(self) -> None:
+        """Sync and close the journals."""
+        try:
+            self._answers.close()
+        finally:
+            self._outcomes.close()
+
+
+def _text(outcome: StepOutcome) -> str:
+    return json.dumps(asdict(outcome), default=_plain)

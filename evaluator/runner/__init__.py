@@ -1,0 +1,21 @@
+"""The judge's main loop: ``run_evaluation`` takes a policy through observe, infer and simulate.
+
+Read in this order: ``config`` (what is asked), ``run`` (the loop), ``plan`` (who is alive), ``observe`` and ``bank``,
+``infer``, ``simulate``, ``folder`` (``run.json`` and resuming), ``summary``, ``backend`` (what tests exchange).
+"""
+
+from __future__ import annotations
+
+from evaluator.runner.backend import Backend, default_backend
+from evaluator.runner.config import EvaluationConfig, EvaluationResult, ProgressSink, Silent
+from evaluator.runner.run import run_evaluation
+
+__all__ = [
+    "Backend",
+    "EvaluationConfig",
+    "EvaluationResult",
+    "ProgressSink",
+    "Silent",
+    "default_backend",
+    "run_evaluation",
+]

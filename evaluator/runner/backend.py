@@ -1,0 +1,102 @@
+"""What a run is made of besides its configuration: the world and the host of policies, exchangeable in tests."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from evaluator.engines import SIMULATOR
+from rema_data.schema import Observation, Situation
+
+if TYPE_CHECKING:
+    from evaluator.policy import Answer, ObservationBatch, PolicySpec
+
+__all__ = ["Backend", "PolicyProcess", "default_backend"]
+
+FINGERPRINT = "evaluator.sim.fingerprint:fingerprint"
+
+
+class PolicyProcess(Protocol):
+    """What a run needs of ``evaluator.policy.PolicyHost``."""
+
+    @property
+    def privileged(self) -> bool:
+        """Whether the policy is shown the situations."""
+        ...
+
+    def act(self, batch: ObservationBatch, situations: tuple[Situation, ...] | None) -> list[Answer]:
+        """One answer an observation."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Backend:
+    """The parts of a run.
+
+    Attributes
+    ----------
+    observe : callable
+        Situation to Observation.
+    valid_actions : callable
+        (task, step) to bool (64, 64, 16).
+    observation_hash : str
+        Identity of whatever ``observe`` depends on.
+    simulator : str
+        ``module:attribute`` of the simulator's factory.
+    fingerprint : str
+        ``module:attribute`` of a callable that returns the fingerprint of the simulator; called in a process of its
+        own, so that no physics is loaded here.
+    protocol_hash : callable
+        (task, protocol name) to sha256.
+    policy_digest : callable
+        (policy, checkpoint) to sha256.
+    open_policy : callable
+        (policy, checkpoint, device) to a context manager that yields the policy's process.
+    """
+
+    observe: Callable[[Situation], Observation]
+    valid_actions: Callable[[str, int], npt.NDArray[np.bool_]]
+    observation_hash: str
+    simulator: str
+    fingerprint: str
+    protocol_hash: Callable[[str, str], str]
+    policy_digest: Callable[[PolicySpec, Path | None], str]
+    open_policy: Callable[[PolicySpec, Path | None, str], AbstractContextManager[PolicyProcess]]
+
+
+def default_backend() -> Backend:
+    """The real world and the real host."""
+    from evaluator.policy import PolicyHost, digest
+    from evaluator.protocol import protocol_hash
+    from evaluator.sim.observation import observe
+    from evaluator.sim.parameters import parameters_hash
+    from evaluator.sim.reach import valid_actions
+
+    return Backend(
+        observe=observe,
+        valid_actions=valid_actions,
+        observation_hash=f"{parameters_hash()} {_source_hash('evaluator.sim')}",
+        simulator=SIMULATOR,
+        fingerprint=FINGERPRINT,
+        protocol_hash=protocol_hash,
+        policy_digest=digest,
+        open_policy=PolicyHost,
+    )
+
+
+def _source_hash(package: str) -> str:
+    """Sha256 of every source file of a package: cached observations must not outlive the code that made them."""
+    found = find_spec(package)
+    total = hashlib.sha256()
+    for folder in sorted(found.submodule_search_locations or []) if found else []:
+        for path in sorted(Path(folder).rglob("*.py")):
+            total.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
+    return total.hexdigest()

@@ -1,0 +1,122 @@
+"""What a run is asked to do, what it reports while it runs, and what it returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from evaluator.engines import ENGINES
+from rema_data.errors import InputError
+from rema_data.schema import check_task
+
+if TYPE_CHECKING:
+    from evaluator.policy.loading import PolicySpec
+
+__all__ = ["ORDERS", "PROTOCOLS", "EvaluationConfig", "EvaluationResult", "ProgressSink", "Silent"]
+
+PROTOCOLS = ("conditional", "end-to-end")
+ORDERS = ("shuffled", "forward", "reverse")
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationConfig:
+    """One evaluation.
+
+    Attributes
+    ----------
+    policy : PolicySpec
+    task : str
+    output : Path
+        Run folder; an existing one is resumed.
+    checkpoint : Path or None
+    device : str
+        Handed to the policy.
+    protocol : {"conditional", "end-to-end"}
+    split : {"test", "val"}
+    episodes : int
+        The first so many scenarios of the list.
+    engine : {"process", "inline"}
+    workers : int or None
+        Every core by default.
+    batch_size : int
+        Observations in one question to the policy. Batches are fixed by scenario order, also after a resume.
+    order : {"shuffled", "forward", "reverse"}
+        In which order scenarios are simulated. No result depends on it; an interrupted shuffled run is unbiased.
+
+    Raises
+    ------
+    InputError
+        A value is none of those.
+    """
+
+    policy: PolicySpec
+    task: str
+    output: Path
+    checkpoint: Path | None = None
+    device: str = "cpu"
+    protocol: str = "conditional"
+    split: str = "test"
+    episodes: int = 10_000
+    engine: str = "process"
+    workers: int | None = None
+    batch_size: int = 64
+    order: str = "shuffled"
+
+    def __post_init__(self) -> None:
+        check_task(self.task)
+        for name, allowed in (("protocol", PROTOCOLS), ("engine", ENGINES), ("order", ORDERS)):
+            if getattr(self, name) not in allowed:
+                raise InputError(
+                    f"unknown {name} {getattr(self, name)!r}", hint=f"choose one of: {', '.join(allowed)}", field=name
+                )
+        for name in ("episodes", "workers", "batch_size"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                flag = name.replace("_", "-")
+                raise InputError(f"--{flag} {value} is not a positive number", hint="give 1 or more", field=name)
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationResult:
+    """A finished run.
+
+    Attributes
+    ----------
+    folder : Path
+        With ``run.json``, ``episodes.parquet``, ``timings.parquet``, ``summary.json`` and ``records/``.
+    summary : dict
+        Content of ``summary.json``.
+    """
+
+    folder: Path
+    summary: dict[str, Any]
+
+
+class ProgressSink(Protocol):
+    """Where a run says how far it is."""
+
+    def phase(self, name: str, total: int) -> None:
+        """A phase begins (``observe``, ``infer``, ``simulate``) that has ``total`` items."""
+        ...
+
+    def advance(self, n: int) -> None:
+        """So many items more of the present phase are done."""
+        ...
+
+    def note(self, text: str) -> None:
+        """Something worth a line."""
+        ...
+
+
+class Silent:
+    """A sink that shows nothing."""
+
+    def phase(self, name: str, total: int) -> None:
+        """Ignore."""
+
+    def advance(self, n: int) -> None:
+        """Ignore."""
+
+    def note(self, text: str) -> None:
+        """Ignore."""

@@ -1,0 +1,301 @@
+"""Frozen scenario lists: Parquet files whose sha256 stands in a manifest.
+
+A list has one row a scenario. Its columns follow from the task: ``object{n}_*`` for the object of step n,
+``tool{n}_*`` for the n-th tool in hand (0 is the left hand's where there are two) and ``pinch_*`` for the pinched object.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import io
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from rema_data.errors import InputError, IntegrityError, MissingFileError
+from rema_data.manifests import manifests_dir
+from rema_data.schema import (
+    TASKS,
+    Embodiment,
+    Grip,
+    ObjectSpec,
+    Pinch,
+    Placement,
+    Primitive,
+    Scenario,
+    Shape,
+    check_task,
+)
+from rema_data.storage import write_atomic
+
+__all__ = [
+    "ScenarioList",
+    "encode_list",
+    "load_list",
+    "reference_pinch",
+    "reference_tools",
+    "scenario_id",
+    "update_manifest",
+    "write_list",
+]
+
+SPLITS = ("test", "val")
+MANIFEST = Path("scenarios", "manifest.json")
+
+_SPEC = tuple(field.name for field in dataclasses.fields(ObjectSpec) if field.name != "shape")
+_PLACEMENT = ("x_m", "y_m", "yaw_rad")
+_GRIP = ("x_m", "y_m", "z_m", "yaw_rad", "opening_m")
+_PINCH = ("x_m", "y_m", "z_m", "yaw_rad", "left_m", "right_m")
+
+
+@dataclass(frozen=True, slots=True)
+class ScenarioList:
+    """A frozen list and its identity.
+
+    Attributes
+    ----------
+    task, split, version : str
+    sha256 : str
+        Of the Parquet file, hexadecimal.
+    scenarios : tuple of Scenario
+        Sorted by index, which counts from 0 without a gap.
+    """
+
+    task: str
+    split: str
+    version: str
+    sha256: str
+    scenarios: tuple[Scenario, ...]
+
+
+def scenario_id(version: str, scenario: Scenario) -> str:
+    """Name of a scenario that is unique among all lists, for example ``v1/grasp/test/00042``."""
+    return f"{version}/{scenario.task}/{scenario.split}/{scenario.index:05d}"
+
+
+def reference_tools(task: str) -> int:
+    """Number of tools in hand at the last step of ``task``."""
+    return sum(kind == (Primitive.GRASP, Embodiment.GRIPPER) for kind in TASKS[task][:-1])
+
+
+def reference_pinch(task: str) -> bool:
+    """Whether an object is pinched between two sticks at the last step of ``task``."""
+    return TASKS[task][-1].embodiment is Embodiment.PINCHED
+
+
+def _groups(task: str) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Prefix and pose columns of every object of a row, in the order of the file."""
+    for step in range(len(TASKS[task])):
+        yield f"object{step}", _PLACEMENT
+    for tool in range(reference_tools(task)):
+        yield f"tool{tool}", _GRIP
+    if reference_pinch(task):
+        yield "pinch", _PINCH
+
+
+def _schema(task: str) -> pa.Schema:
+    fields = [pa.field("index", pa.int32(), nullable=False)]
+    for prefix, pose in _groups(task):
+        fields.append(pa.field(f"{prefix}_shape", pa.string()))
+        fields.extend(pa.field(f"{prefix}_{name}", pa.float64()) for name in _SPEC + pose)
+    return pa.schema(fields)
+
+
+def _row(scenario: Scenario) -> dict[str, Any]:
+    row: dict[str, Any] = {"index": scenario.index}
+    held: dict[str, Placement | Grip | Pinch | None] = {
+        **{f"object{n}": placement for n, placement in enumerate(scenario.placements)},
+        **{f"tool{n}": grip for n, grip in enumerate(scenario.grips)},
+        "pinch": scenario.pinch,
+    }
+    for prefix, pose in _groups(scenario.task):
+        part = held.get(prefix)
+        if part is not None:
+            row[f"{prefix}_shape"] = part.spec.shape.value
+            row.update({f"{prefix}_{name}": float(getattr(part.spec, name)) for name in _SPEC})
+            row.update({f"{prefix}_{name}": float(getattr(part, name)) for name in pose})
+    return row
+
+
+def encode_list(scenarios: Sequence[Scenario]) -> bytes:
+    """Bytes of the Parquet file of a list: the same for the same scenarios on the same pyarrow.
+
+    Raises
+    ------
+    InputError
+        The list is empty, mixes tasks or splits, or its indices do not count from 0.
+    """
+    if not scenarios:
+        raise InputError("a scenario list needs at least one scenario", hint="generate some")
+    task, split = scenarios[0].task, scenarios[0].split
+    for position, scenario in enumerate(scenarios):
+        if (scenario.task, scenario.split, scenario.index) != (task, split, position):
+            raise InputError(
+                f"scenario {position} of the {task}/{split} list says it is "
+                f"{scenario.task}/{scenario.split}/{scenario.index}",
+                hint="number the scenarios of one task and one split from 0",
+                position=position,
+            )
+        if len(scenario.placements) != len(TASKS[task]):
+            raise InputError(
+                f"scenario {position} has {len(scenario.placements)} objects, {task} has {len(TASKS[task])} steps",
+                hint="give every step its object",
+                position=position,
+            )
+    schema = _schema(task).with_metadata({"rema.task": task, "rema.split": split})
+    buffer = io.BytesIO()
+    table = pa.Table.from_pylist([_row(scenario) for scenario in scenarios], schema=schema)
+    pq.write_table(table, buffer, compression="zstd", compression_level=9, version="2.6", row_group_size=len(scenarios))
+    return buffer.getvalue()
+
+
+def write_list(path: Path, scenarios: Sequence[Scenario]) -> str:
+    """Write a list atomically.
+
+    Returns
+    -------
+    str
+        sha256 of the file, for ``update_manifest``.
+
+    Raises
+    ------
+    InputError
+        See ``encode_list``.
+    StorageError
+        The disk is full or may not be written.
+    """
+    payload = encode_list(scenarios)
+    write_atomic(path, payload)
+    return hashlib.sha256(payload).hexdigest()
+
+
+def update_manifest(
+    path: Path, version: str, entry: str, *, file: str, sha256: str, count: int, seed_domain: str
+) -> None:
+    """Add or replace one list in the manifest at ``path``; it is created where it is missing.
+
+    Parameters
+    ----------
+    path : Path
+        ``manifests/scenarios/manifest.json``.
+    version : str
+        Of all the lists in it.
+    entry : str
+        ``task/split``.
+    file : str
+        Of the list, relative to the manifest.
+    sha256 : str
+    count : int
+    seed_domain : str
+        Which part of the seed space its scenarios were drawn from.
+
+    Raises
+    ------
+    InputError
+        The manifest is of another version.
+    """
+    content: dict[str, Any] = {"version": version, "lists": {}}
+    if path.exists():
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["version"] != version:
+            raise InputError(
+                f"{path} is of version {content['version']}, not {version}",
+                hint="lists are immutable: move the old manifest away before writing a new version",
+                path=str(path),
+            )
+    content["lists"][entry] = {"file": file, "sha256": sha256, "count": count, "seed_domain": seed_domain}
+    content["lists"] = dict(sorted(content["lists"].items()))
+    write_atomic(path, json.dumps(content, indent=2) + "\n")
+
+
+def load_list(task: str, split: str = "test", version: str | None = None) -> ScenarioList:
+    """The frozen list of a task, checked against its manifest.
+
+    Parameters
+    ----------
+    task : str
+    split : {"test", "val"}
+    version : str, optional
+        Refuse any other version; the manifest's by default.
+
+    Raises
+    ------
+    InputError
+        There is no such task, split or version.
+    MissingFileError
+        The manifest or the list is not there.
+    IntegrityError
+        The file is not the one that the manifest names.
+    """
+    check_task(task)
+    path = manifests_dir() / MANIFEST
+    if not path.is_file():
+        raise MissingFileError(f"there is no scenario manifest at {path}", hint="run `rema scenarios`", path=str(path))
+    content = json.loads(path.read_text(encoding="utf-8"))
+    if version not in (None, content["version"]):
+        raise InputError(
+            f"scenario lists of version {version} are not here",
+            hint=f"this installation has {content['version']}",
+            version=version,
+        )
+    entry = content["lists"].get(f"{task}/{split}")
+    if entry is None:
+        raise InputError(
+            f"there is no {split!r} list of {task}",
+            hint=f"the manifest has: {', '.join(content['lists'])}",
+            task=task,
+            split=split,
+        )
+    scenarios = _read(path.parent / entry["file"], entry["sha256"], task, split)
+    return ScenarioList(task, split, content["version"], entry["sha256"], scenarios)
+
+
+def _read(path: Path, sha256: str, task: str, split: str) -> tuple[Scenario, ...]:
+    if not path.is_file():
+        hint = "restore it from the repository: git checkout -- manifests"
+        raise MissingFileError(f"scenario list {path} does not exist", hint=hint, path=str(path))
+    payload = path.read_bytes()
+    got = hashlib.sha256(payload).hexdigest()
+    if got != sha256:
+        raise IntegrityError(
+            f"scenario list {path} has sha256 {got}, its manifest says {sha256}",
+            hint="restore it from the repository: git checkout -- manifests",
+            path=str(path),
+            expected=sha256,
+            got=got,
+        )
+    table = pq.read_table(io.BytesIO(payload))
+    if table.schema.names != _schema(task).names:
+        raise IntegrityError(
+            f"scenario list {path} does not have the columns of a {task} list",
+            hint="install the version of rema that the list belongs to",
+            path=str(path),
+        )
+    columns = table.to_pydict()
+    shapes = {shape.value: shape for shape in Shape}
+
+    def parts(prefix: str, pose: tuple[str, ...], kind: type) -> list[Any]:
+        size = zip(*(columns[f"{prefix}_{name}"] for name in _SPEC), strict=True)
+        where = zip(*(columns[f"{prefix}_{name}"] for name in pose), strict=True)
+        return [
+            None if shape is None else kind(ObjectSpec(shapes[shape], *lengths), *numbers)
+            for shape, lengths, numbers in zip(columns[f"{prefix}_shape"], size, where, strict=True)
+        ]
+
+    nothing: list[Any] = [None] * table.num_rows
+    objects = [parts(f"object{n}", _PLACEMENT, Placement) for n in range(len(TASKS[task]))]
+    tools = [parts(f"tool{n}", _GRIP, Grip) for n in range(reference_tools(task))]
+    pinches = parts("pinch", _PINCH, Pinch) if reference_pinch(task) else nothing
+    grips = zip(*tools, strict=True) if tools else [()] * table.num_rows
+    return tuple(
+        Scenario(task, split, index, placements, tuple(grip for grip in held if grip is not None), pinch)
+        for index, placements, held, pinch in zip(
+            columns["index"], zip(*objects, strict=True), grips, pinches, strict=True
+        )
+    )

@@ -1,0 +1,81 @@
+"""Trajectories: a trapezoidal speed profile along straight lines, solved once for all joint targets."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from evaluator.sim.kinematics import Base, solve_path, within_limits
+from evaluator.sim.parameters import WorldParameters
+
+Array = npt.NDArray[Any]
+
+
+def profile(distance_m: float, speed_m_s: float, tick_s: float, ramp_share: float) -> Array:
+    """Share of the way covered at every control tick, float64 (n + 1,), from 0 to 1.
+
+    Speed rises and falls linearly, each over ``ramp_share`` of the duration.
+    """
+    duration = abs(distance_m) / (speed_m_s * (1 - ramp_share))
+    ticks = max(1, math.ceil(duration / tick_s))
+    t = np.arange(ticks + 1) / ticks
+    top = 1 / (1 - ramp_share)
+    rising = top * t**2 / (2 * ramp_share)
+    cruising = top * (t - ramp_share / 2)
+    falling = 1 - top * (1 - t) ** 2 / (2 * ramp_share)
+    return np.where(t < ramp_share, rising, np.where(t <= 1 - ramp_share, cruising, falling))
+
+
+@dataclass(frozen=True, slots=True)
+class JointPath:
+    """Joint targets of one arm at every control tick.
+
+    Attributes
+    ----------
+    positions : float64 (n + 1, 7)
+        Radians; the first row is where the path starts.
+    velocities : float64 (n, 7)
+        Radians per second on the way to the next row.
+    """
+
+    positions: Array
+    velocities: Array
+
+    @property
+    def reachable(self) -> bool:
+        """Whether the whole path is within the joint limits."""
+        return bool(within_limits(self.positions).all())
+
+
+def line(
+    base: Base,
+    start: tuple[float, float, float],
+    end: tuple[float, float, float],
+    yaw_rad: float,
+    shares: Array,
+    tick_s: float,
+    symmetric: bool,
+    parameters: WorldParameters,
+) -> JointPath:
+    """Joint path of a straight line of the tool centre point at a constant yaw.
+
+    Parameters
+    ----------
+    base : Base
+    start, end : (x, y, z)
+        World frame, metres.
+    yaw_rad : float
+    shares : float64 (n + 1,)
+        From ``profile``.
+    tick_s : float
+        Time between two rows.
+    symmetric : bool
+        Whether half a turn of the hand makes no difference.
+    """
+    way = np.asarray(start)[:, None] + (np.asarray(end) - np.asarray(start))[:, None] * shares
+    positions = solve_path(base, way[0], way[1], way[2], np.full(shares.shape, yaw_rad), symmetric, parameters)
+    return JointPath(positions, np.diff(positions, axis=0) / tick_s)

@@ -1,0 +1,111 @@
+"""Which actions the arms can carry out: computed once from kinematics, the same for every policy.
+
+One arm acts in single-arm steps: the left one wherever it can, else the right one. Both arms reach or none does in
+two-arm steps, whose angles are 0..7.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from evaluator.sim.kinematics import base_of, solve_path, within_limits
+from evaluator.sim.parameters import WORLD, WorldParameters
+from rema_data import grid
+from rema_data.schema import TASKS, Embodiment, Primitive, StepKind
+
+Array = npt.NDArray[Any]
+
+_SHAPE = (grid.SCENE_PIXELS, grid.SCENE_PIXELS, grid.ANGLES)
+TOOL_HEIGHTS_M = (0.0, 0.03)
+"""Heights of the tool centre point between which a held tool's lowest point is at its clearance."""
+
+
+def hand_yaws(kind: StepKind, theta: Any) -> tuple[Any, Any]:
+    """Yaw of the left and of the right hand for an action angle (rad).
+
+    A single hand's closing axis turns with the action. In a pair the sticks lie along the pair's axis, across the
+    jaws, and the right hand is the left one turned by half a turn about the pair's origin.
+    """
+    if kind.embodiment.two_arms:
+        return theta + np.pi / 2, theta + 3 * np.pi / 2
+    return theta, theta
+
+
+def pair_distances(parameters: WorldParameters) -> tuple[float, float]:
+    """Smallest and largest distance of a hand from the pair's origin: sticks held within a quarter of their middle."""
+    half_short, half_long = parameters.stick_length_min_m / 2, parameters.stick_length_max_m / 2
+    return 0.75 * half_short, 1.25 * half_long + parameters.pair_open_m
+
+
+@lru_cache(maxsize=16)
+def reachable(kind: StepKind, parameters: WorldParameters = WORLD) -> Array:
+    """Whether an arm can carry out an action, bool (2, 64, 64, 16): left, right. Read-only.
+
+    Checked at the ends of every motion of the primitive (and in the middle of a push).
+    """
+    i, j, k = grid.decode(np.arange(grid.ACTIONS).reshape(_SHAPE))
+    x, y, theta = grid.to_world(grid.encode(i, j, k))
+    low, high = (parameters.grasp_height_m, parameters.lift_height_m + parameters.grasp_height_m)
+    travel = parameters.push_distance_m
+    yaws = hand_yaws(kind, theta)
+    result = np.zeros((2, *_SHAPE), bool)
+    for side, arm in enumerate(("left", "right")):
+        base = base_of(arm, parameters)
+        ok = np.ones(_SHAPE, bool)
+        if kind.embodiment.two_arms:
+            along = 1.0 if arm == "left" else -1.0
+            ux, uy = along * np.cos(theta), along * np.sin(theta)
+            near, far = pair_distances(parameters)
+            if kind.primitive is Primitive.GRASP:
+                heights, shifts = (0.0, 0.03, 0.03 + parameters.pair_lift_height_m), (0.0,)
+            else:
+                heights, shifts = TOOL_HEIGHTS_M, (0.0, travel / 2, travel)
+            for distance in (near, far):
+                px, py = x + distance * ux, y + distance * uy
+                for z in heights:
+                    ok &= _path_ok(base, px, py, z, yaws[side], shifts, False, parameters)
+        elif kind.primitive is Primitive.GRASP:
+            ok &= _path_ok(base, x, y, low, yaws[side], (0.0,), True, parameters)
+            ok &= _path_ok(base, x, y, high, yaws[side], (0.0,), True, parameters)
+        else:
+            symmetric = kind.embodiment is Embodiment.GRIPPER
+            heights = (parameters.push_height_m,) if symmetric else TOOL_HEIGHTS_M
+            for z in heights:
+                ok &= _path_ok(base, x, y, z, yaws[side], (0.0, travel / 2, travel), symmetric, parameters)
+        result[side] = ok
+    if kind.embodiment.two_arms:
+        both = result.all(axis=0) & (k < grid.PAIR_ANGLES)
+        result[:] = both
+    result &= grid.inside_valid_square()[None, :, :, None]
+    result.setflags(write=False)
+    return result
+
+
+def _path_ok(
+    base: Any, x: Array, y: Array, z: float, yaw: Array, shifts: tuple[float, ...], symmetric: bool, p: WorldParameters
+) -> Array:
+    xs = np.stack([x + shift for shift in shifts], axis=-1)
+    ys, yaws = (np.broadcast_to(value[..., None], xs.shape) for value in (y, yaw))
+    joints = solve_path(base, xs, ys, np.full(xs.shape, z), yaws, symmetric, p)
+    return np.asarray(within_limits(joints, p).all(axis=-1))
+
+
+@lru_cache(maxsize=16)
+def valid_actions(task: str, step: int) -> Array:
+    """Actions that a policy may choose at a step of a task, bool (64, 64, 16), read-only."""
+    valid = reachable(TASKS[task][step]).any(axis=0)
+    valid.setflags(write=False)
+    return valid
+
+
+def acting_arm(kind: StepKind, action: int, parameters: WorldParameters = WORLD) -> str | None:
+    """``left``, ``right`` or ``both`` for an action, or None where it is out of reach."""
+    i, j, k = grid.decode(action)
+    left, right = reachable(kind, parameters)[:, i, j, k]
+    if kind.embodiment.two_arms:
+        return "both" if left and right else None
+    return "left" if left else "right" if right else None

@@ -1,0 +1,111 @@
+"""Situation + action -> outcome: a pure function, computed by Bullet only where something can touch."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from evaluator.sim.attempt import Attempt, Ended, Hand
+from evaluator.sim.parameters import WORLD, WorldParameters
+from evaluator.sim.primitives import grasp, pincer, push
+from evaluator.sim.reach import acting_arm, hand_yaws
+from evaluator.sim.world import Unstable, World
+from rema_data import grid
+from rema_data.schema import Embodiment, Failure, Grip, Pinch, Primitive, Situation, StepOutcome
+
+
+class Simulator:
+    """Carries out single steps. One per process; the same step gives the same outcome in any order and any process.
+
+    Parameters
+    ----------
+    parameters : WorldParameters
+    shortcuts : bool
+        Whether actions that provably cannot touch the target are labelled ``missed`` without simulation.
+    meshes : str, optional
+        pybullet_data folder: arms with visual meshes, for pictures. Physics is the same.
+    """
+
+    def __init__(
+        self, parameters: WorldParameters = WORLD, *, shortcuts: bool = True, meshes: str | None = None
+    ) -> None:
+        self.parameters, self._shortcuts, self._meshes = parameters, shortcuts, meshes
+        self._worlds: dict[tuple[str, ...], World] = {}
+
+    def run(self, situation: Situation, action: int) -> StepOutcome:
+        """Outcome of one action.
+
+        Parameters
+        ----------
+        situation : Situation
+        action : int
+            Grid index, 0..65535.
+        """
+        arm = acting_arm(situation.kind, action, self.parameters)
+        if arm is None:
+            return StepOutcome(False, Failure.UNREACHABLE)
+        x, y, theta = (float(value) for value in grid.to_world(action))
+        if self._shortcuts and not self._can_touch(situation, (x, y, theta)):
+            return StepOutcome(False, Failure.MISSED, arm=arm)
+        world = self.world(("left", "right") if arm == "both" else (arm,))
+        return self._attempt(world, situation, (x, y, theta), arm)
+
+    def world(self, arms: tuple[str, ...]) -> World:
+        """The world that holds these arms."""
+        if arms not in self._worlds:
+            self._worlds[arms] = World(arms, self.parameters, self._meshes)
+        return self._worlds[arms]
+
+    def close(self) -> None:
+        """Disconnect from Bullet."""
+        while self._worlds:
+            self._worlds.popitem()[1].close()
+
+    def _can_touch(self, situation: Situation, pose: tuple[float, float, float]) -> bool:
+        kind, parameters = situation.kind, self.parameters
+        if kind.embodiment is Embodiment.GRIPPER and kind.primitive is Primitive.GRASP:
+            return grasp.can_touch(situation, pose, parameters)
+        if kind.embodiment.two_arms:
+            return pincer.can_touch(situation, pose, parameters)
+        return push.can_touch(situation, situation.grips[0] if situation.grips else None, pose, parameters)
+
+    def _attempt(
+        self, world: World, situation: Situation, pose: tuple[float, float, float], arm: str
+    ) -> StepOutcome:
+        kind = situation.kind
+        world.begin()
+        target = situation.target
+        tool_use = kind.embodiment is not Embodiment.GRIPPER
+        body = world.place(target.spec, target.x_m, target.y_m, target.spec.height_m / 2, target.yaw_rad)
+        arms = list(world.arms.values())
+        bodies = tuple(arm.body for arm in arms)
+        grips: tuple[Grip | None, ...] = situation.grips if tool_use else (None,) * len(arms)
+        hands = [Hand(arm, grip) for arm, grip in zip(arms, grips, strict=True)]
+        attempt = Attempt(world, situation, hands, body, () if tool_use else bodies, bodies if tool_use else ())
+        x, y, theta = pose
+        yaw = float(hand_yaws(kind, theta)[0])
+        failure: Failure | None = None
+        grip: Grip | None = None
+        pinch: Pinch | None = None
+        try:
+            if kind.embodiment is Embodiment.STICKS:
+                pinch = pincer.pincer(attempt, pose)
+            elif kind.embodiment is Embodiment.PINCHED:
+                pincer.push_pinched(attempt, pose)
+            elif kind.primitive is Primitive.GRASP:
+                grip = grasp.grasp(attempt, (x, y, yaw))
+            else:
+                push.push(attempt, (x, y, yaw))
+        except Ended as ended:
+            failure = ended.failure
+        except Unstable:
+            failure = Failure.UNSTABLE
+        evidence: dict[str, Any] = {
+            name: getattr(attempt.evidence, name)
+            for name in ("displacement_m", "lift_m", "peak_force_n", "contact_steps", "illegal_steps")
+        }
+        if not all(math.isfinite(value) for value in evidence.values()):
+            return StepOutcome(False, Failure.UNSTABLE, arm=arm, sim_steps=world.steps)
+        return StepOutcome(
+            failure is None, failure, arm=arm, sim_steps=world.steps, grip=grip, pinch=pinch, **evidence
+        )

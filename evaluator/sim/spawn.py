@@ -1,0 +1,58 @@
+"""Drawing objects: shapes, sizes and poses from a generator that the caller keys by episode."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from evaluator.sim.parameters import WORLD, WorldParameters
+from rema_data.schema import TASKS, Embodiment, ObjectSpec, Placement, Primitive, Shape, StepKind
+
+
+def episode_generator(root: int, domain: str, task: str, episode: int) -> np.random.Generator:
+    """The generator of one episode: streams of different domains, tasks or episodes never meet.
+
+    Parameters
+    ----------
+    root : int
+        Root seed of a list or a collection.
+    domain : str
+        ``test``, ``val`` or ``collect``: the key that keeps frozen scenarios and collected data apart.
+    task : str
+    episode : int
+    """
+    key = (_DOMAINS[domain], list(TASKS).index(task), episode)
+    return np.random.default_rng(np.random.SeedSequence(root, spawn_key=key))
+
+
+_DOMAINS = {"test": 0, "val": 1, "collect": 2, "calibrate": 3}
+
+
+def draw_spec(rng: np.random.Generator, stick: bool, parameters: WorldParameters = WORLD) -> ObjectSpec:
+    """A random object: I, L or T equally often, or a stick (a long I), scaled along and across its bar."""
+    p = parameters
+    shape = Shape.I if stick else (Shape.I, Shape.L, Shape.T)[int(rng.integers(3))]
+    lengths = (p.stick_length_min_m, p.stick_length_max_m) if stick else (p.length_min_m, p.length_max_m)
+    widths = (p.stick_width_min_m, p.stick_width_max_m) if stick else (p.width_min_m, p.width_max_m)
+    length, width = float(rng.uniform(*lengths)), float(rng.uniform(*widths))
+    arm = 0.0 if shape is Shape.I else p.arm_ratio * length
+    return ObjectSpec(shape, length, width, arm, p.object_height_m)
+
+
+def draw_placement(rng: np.random.Generator, kind: StepKind, stick: bool, p: WorldParameters = WORLD) -> Placement:
+    """A random object at a random place for a step: pushes start further to -x, so that there is room behind them."""
+    spec = draw_spec(rng, stick, p)
+    if kind.primitive is Primitive.PUSH:
+        x = float(rng.uniform(p.push_spawn_x_min_m, p.push_spawn_x_max_m))
+        y = float(rng.uniform(-p.push_spawn_half_y_m, p.push_spawn_half_y_m))
+    else:
+        x, y = (float(value) for value in rng.uniform(-p.grasp_spawn_half_m, p.grasp_spawn_half_m, 2))
+    return Placement(spec, x, y, float(rng.uniform(0, 2 * np.pi)))
+
+
+def draw_episode(rng: np.random.Generator, task: str, parameters: WorldParameters = WORLD) -> tuple[Placement, ...]:
+    """The objects of every step of an episode, in order."""
+    steps = TASKS[task]
+    two_arms = any(kind.embodiment.two_arms for kind in steps)
+    return tuple(
+        draw_placement(rng, kind, two_arms and kind.embodiment is Embodiment.GRIPPER, parameters) for kind in steps
+    )

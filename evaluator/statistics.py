@@ -1,0 +1,104 @@
+"""Statistics of one rate: intervals, how to print them, and the distance to a published rate.
+
+scipy is imported when it is needed: it is slow to load, and the command line shows its help without it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+from rema_data.errors import InputError
+
+__all__ = ["clopper_pearson", "format_rate", "wilson", "z_against_published"]
+
+PUBLISHED_EPISODES = 10_000
+"""Episodes behind a published rate: the paper says "over 10K"."""
+
+
+def wilson(successes: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Wilson score interval of a rate: the default of every table.
+
+    Parameters
+    ----------
+    successes, n : int
+        ``n = 0`` knows nothing: (0, 1).
+    confidence : float
+        In (0, 1).
+
+    Returns
+    -------
+    (low, high) : tuple of float
+        Shares in 0..1.
+
+    Raises
+    ------
+    InputError
+        When the counts or the confidence cannot be.
+    """
+    return _interval(successes, n, confidence, "wilson")
+
+
+def clopper_pearson(successes: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Clopper-Pearson interval: never covers less than it says; for guarantees and for zero counts.
+
+    Parameters, returns and errors are those of ``wilson``.
+    """
+    return _interval(successes, n, confidence, "exact")
+
+
+def _interval(successes: int, n: int, confidence: float, method: Literal["wilson", "exact"]) -> tuple[float, float]:
+    if not 0 <= successes <= n:
+        raise InputError(f"{successes} successes of {n} episodes", hint="give 0 <= successes <= n")
+    if not 0 < confidence < 1:
+        raise InputError(f"confidence {confidence}", hint="give a share between 0 and 1, such as 0.95")
+    if n == 0:
+        return 0.0, 1.0
+    from scipy.stats import binomtest
+
+    interval = binomtest(successes, n).proportion_ci(confidence, method)
+    return max(0.0, float(interval.low)), min(1.0, float(interval.high))
+
+
+def format_rate(successes: int, n: int, confidence: float = 0.95) -> str:
+    """A rate as people should read it: ``5.5 % [5.1, 6.0]``, one decimal and the Wilson interval; ``-`` without n."""
+    if n == 0:
+        return "-"
+    low, high = wilson(successes, n, confidence)
+    return f"{100 * successes / n:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
+
+
+def z_against_published(
+    successes: int, n: int, published_rate: float, published_n: int = PUBLISHED_EPISODES
+) -> tuple[float, float]:
+    """How far a rate is from a published one, in standard errors (pooled two-proportion test, unpaired).
+
+    Parameters
+    ----------
+    successes, n : int
+    published_rate : float
+        Share in 0..1.
+    published_n : int
+        Episodes behind the published rate.
+
+    Returns
+    -------
+    (z, p) : tuple of float
+        z > 0 where ours is higher; p is two-sided. (0, 1) where both rates are 0 or both are 1.
+
+    Raises
+    ------
+    InputError
+        When the counts or the rate cannot be.
+    """
+    if not 0 <= successes <= n or n == 0 or published_n < 1 or not 0 <= published_rate <= 1:
+        raise InputError(
+            f"{successes} of {n} episodes against {published_rate} of {published_n}",
+            hint="give 0 <= successes <= n with n > 0, and the published rate as a share in 0..1",
+        )
+    pooled = (successes + published_rate * published_n) / (n + published_n)
+    variance = pooled * (1 - pooled) * (1 / n + 1 / published_n)
+    if variance <= 0:
+        return 0.0, 1.0
+    z = (successes / n - published_rate) / math.sqrt(variance)
+    return z, math.erfc(abs(z) / math.sqrt(2))

@@ -1,0 +1,340 @@
+"""The records that flow through rema: one set of types for the simulator, the store, the sampler and the judge.
+
+Frames
+------
+world
+    Metres, z up, table top z = 0, origin at the centre of the workspace, +x the push direction.
+object
+    Origin at the centre of mass, x along the main bar.
+hand
+    Origin at the tool centre point (between the fingertips, at their lower end), x the closing axis of the jaws,
+    z up. The yaw of a hand is the yaw of its closing axis.
+pair
+    Origin midway between the tips of the two held sticks, x from the right hand's stick to the left hand's.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from rema_data import grid
+from rema_data.errors import InputError
+
+SCHEMA_VERSION = 1
+
+HEIGHT_STEP_M = 1e-4
+"""Resolution of a stored height: maps are canonical multiples of 0.1 mm."""
+
+
+class Shape(StrEnum):
+    """The three seed shapes (paper, section 4)."""
+
+    I = "I"  # noqa: E741
+    L = "L"
+    T = "T"
+
+
+class Primitive(StrEnum):
+    """The two action primitives, one network each."""
+
+    GRASP = "grasp"
+    PUSH = "push"
+
+
+class Embodiment(StrEnum):
+    """What touches the target: bare fingers, a held tool, two held sticks, or an object pinched between two sticks."""
+
+    GRIPPER = "gripper"
+    TOOL = "tool"
+    STICKS = "sticks"
+    PINCHED = "pinched"
+
+    @property
+    def two_arms(self) -> bool:
+        """Whether both arms act as one, which halves the range of angles."""
+        return self in (Embodiment.STICKS, Embodiment.PINCHED)
+
+
+class StepKind(NamedTuple):
+    """What one step of a task asks for."""
+
+    primitive: Primitive
+    embodiment: Embodiment
+
+
+_PICK = StepKind(Primitive.GRASP, Embodiment.GRIPPER)
+
+TASKS: dict[str, tuple[StepKind, ...]] = {
+    "grasp": (_PICK,),
+    "push": (StepKind(Primitive.PUSH, Embodiment.GRIPPER),),
+    "grasp_grasp": (_PICK, _PICK, StepKind(Primitive.GRASP, Embodiment.STICKS)),
+    "grasp_push": (_PICK, StepKind(Primitive.PUSH, Embodiment.TOOL)),
+    "grasp_grasp_push": (
+        _PICK,
+        _PICK,
+        StepKind(Primitive.GRASP, Embodiment.STICKS),
+        StepKind(Primitive.PUSH, Embodiment.PINCHED),
+    ),
+}
+"""Steps of every task, in order. An episode ends at its first failed step (paper, section 3.3)."""
+
+
+class Failure(StrEnum):
+    """Why a step failed: exactly one label for every failed step."""
+
+    MISSED = "missed"  # nothing that may touch the target touched it
+    BLOCKED = "blocked"  # the descent landed on the target: protective stop
+    NOT_LIFTED = "touched_not_lifted"  # touched, but never carried
+    SLIPPED = "slipped"  # left the table and was lost before the end
+    ILLEGAL_CONTACT = "illegal_contact"  # touched by something that must not touch it
+    TOO_LITTLE = "displaced_too_little"  # pushed less than the required distance in +x
+    TOOL_LOST = "tool_lost"  # a tool left the hand
+    UNREACHABLE = "unreachable"  # outside the arm's joint limits
+    UNSTABLE = "unstable"  # the physics left its range of validity
+    POLICY_ERROR = "policy_error"  # the policy raised, hung or answered with something that is not an action
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectSpec:
+    """An I, L or T made of boxes.
+
+    Attributes
+    ----------
+    shape : Shape
+    length_m : float
+        Length of the main bar.
+    width_m : float
+        Width of every bar.
+    arm_m : float
+        Extent of the second bar across the main one, the main bar's width included; 0 for an I.
+    height_m : float
+    """
+
+    shape: Shape
+    length_m: float
+    width_m: float
+    arm_m: float
+    height_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """An object at rest on the table: pose of its centre of mass in the world frame."""
+
+    spec: ObjectSpec
+    x_m: float
+    y_m: float
+    yaw_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class Grip:
+    """A tool in a hand: pose of its centre of mass in the hand frame, and the gap between the fingers."""
+
+    spec: ObjectSpec
+    x_m: float
+    y_m: float
+    z_m: float
+    yaw_rad: float
+    opening_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Pinch:
+    """An object held between two sticks: pose of its centre of mass in the pair frame, and where the hands are.
+
+    Attributes
+    ----------
+    spec : ObjectSpec
+    x_m, y_m, yaw_rad : float
+        In the pair frame.
+    z_m : float
+        Height of the centre of mass above the tool centre points.
+    left_m, right_m : float
+        Distance of the left (right) hand's tool centre point from the pair's origin, along +x (-x) of the pair.
+    """
+
+    spec: ObjectSpec
+    x_m: float
+    y_m: float
+    z_m: float
+    yaw_rad: float
+    left_m: float
+    right_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """What one step starts from: everything the simulator needs besides the action.
+
+    Attributes
+    ----------
+    task : str
+    step : int
+        0-based position in ``TASKS[task]``.
+    target : Placement
+        The object of this step.
+    grips : tuple of Grip
+        Tools in hand: the first in the left hand when there are two.
+    pinch : Pinch or None
+    """
+
+    task: str
+    step: int
+    target: Placement
+    grips: tuple[Grip, ...] = ()
+    pinch: Pinch | None = None
+
+    @property
+    def kind(self) -> StepKind:
+        """Primitive and embodiment of this step."""
+        return TASKS[self.task][self.step]
+
+    @property
+    def last(self) -> bool:
+        """Whether success here is success of the task."""
+        return self.step == len(TASKS[self.task]) - 1
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """One frozen episode: an object for every step, and the reference tools-in-hand of the conditional protocol.
+
+    Attributes
+    ----------
+    task, split : str
+    index : int
+        Position in its list, 0-based: the identity of a scenario is (task, split, index, list version).
+    placements : tuple of Placement
+        The object of every step, in order.
+    grips : tuple of Grip
+        Tools as the reference policy picked them; empty where the task has none.
+    pinch : Pinch or None
+        The pinched object, as the reference policy pinched it, for ``grasp_grasp_push``.
+    """
+
+    task: str
+    split: str
+    index: int
+    placements: tuple[Placement, ...]
+    grips: tuple[Grip, ...] = ()
+    pinch: Pinch | None = None
+
+    def last_situation(self) -> Situation:
+        """The last step, with the reference tools in hand (conditional protocol)."""
+        return Situation(self.task, len(self.placements) - 1, self.placements[-1], self.grips, self.pinch)
+
+    def first_situation(self) -> Situation:
+        """The first step, with empty hands (end-to-end protocol)."""
+        return Situation(self.task, 0, self.placements[0])
+
+    def next_situation(self, done: Situation, outcome: StepOutcome) -> Situation:
+        """The step after ``done``, which succeeded with ``outcome``."""
+        step = done.step + 1
+        grips = done.grips if outcome.grip is None else (*done.grips, outcome.grip)
+        return Situation(self.task, step, self.placements[step], grips, outcome.pinch)
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """What a policy sees before one action.
+
+    Attributes
+    ----------
+    scene : uint16 (64, 64)
+        Height above the table in units of 0.1 mm.
+    depth : uint16 (2, 112, 112)
+        Height of the end effector above its lowest allowed point, two states, in units of 0.1 mm, at yaw 0.
+    mask : bool (2, 112, 112)
+        Whether the topmost body at a pixel is allowed to touch the target.
+    """
+
+    scene: npt.NDArray[np.uint16]
+    depth: npt.NDArray[np.uint16]
+    mask: npt.NDArray[np.bool_]
+
+    def scene_m(self) -> npt.NDArray[np.float32]:
+        """Scene height map, float32 (64, 64), metres."""
+        return (self.scene * np.float32(HEIGHT_STEP_M)).astype(np.float32)
+
+    def end_effector(self) -> npt.NDArray[np.float32]:
+        """End-effector map, float32 (112, 112, 4): depth (m) and mask of state 1, depth and mask of state 2."""
+        planes = np.empty((4, grid.EE_PIXELS, grid.EE_PIXELS), np.float32)
+        planes[0::2] = self.depth * np.float32(HEIGHT_STEP_M)
+        planes[1::2] = self.mask
+        return np.moveaxis(planes, 0, -1)
+
+
+@dataclass(frozen=True, slots=True)
+class StepOutcome:
+    """What one action did.
+
+    Attributes
+    ----------
+    success : bool
+    failure : Failure or None
+        Exactly one label when ``success`` is false, else None.
+    arm : str
+        ``left``, ``right``, ``both``, or ``none`` where nothing had to be simulated.
+    displacement_m : float
+        Of the target's centre of mass in +x, at rest.
+    lift_m : float
+        Highest rise of the target's centre of mass.
+    peak_force_n : float
+        Largest total normal force on the hand or tool during the descent.
+    contact_steps : int
+        Simulation steps in which an allowed body touched the target.
+    illegal_steps : int
+        Simulation steps in which a forbidden body touched the target.
+    sim_steps : int
+        Simulation steps taken.
+    grip : Grip or None
+        The picked object as a tool, after a successful pick that is not the last step.
+    pinch : Pinch or None
+        Likewise after a successful pincer that is not the last step.
+    """
+
+    success: bool
+    failure: Failure | None
+    arm: str = "none"
+    displacement_m: float = 0.0
+    lift_m: float = 0.0
+    peak_force_n: float = 0.0
+    contact_steps: int = 0
+    illegal_steps: int = 0
+    sim_steps: int = 0
+    grip: Grip | None = None
+    pinch: Pinch | None = None
+
+
+def to_dict(record: Any) -> dict[str, Any]:
+    """A record as plain dictionaries, lists, strings and numbers, ready for JSON."""
+    return dataclasses.asdict(record)
+
+
+def outcome_from_dict(row: dict[str, Any]) -> StepOutcome:
+    """Inverse of ``to_dict`` for a ``StepOutcome``."""
+    fields = dict(row)
+    fields["failure"] = None if row["failure"] is None else Failure(row["failure"])
+    for name, kind in (("grip", Grip), ("pinch", Pinch)):
+        if row.get(name) is not None:
+            fields[name] = kind(**{**row[name], "spec": spec_from_dict(row[name]["spec"])})
+    return StepOutcome(**fields)
+
+
+def spec_from_dict(row: dict[str, Any]) -> ObjectSpec:
+    """Inverse of ``to_dict`` for an ``ObjectSpec``."""
+    return ObjectSpec(**{**row, "shape": Shape(row["shape"])})
+
+
+def check_task(task: str) -> str:
+    """``task`` itself, or an InputError that lists the tasks."""
+    if task not in TASKS:
+        raise InputError(f"unknown task {task!r}", hint=f"choose one of: {', '.join(TASKS)}", task=task)
+    return task

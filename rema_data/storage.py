@@ -1,0 +1,98 @@
+"""Writing files so that a crash or a full disk leaves the old file or the new one, never half of one."""
+
+from __future__ import annotations
+
+import errno
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import platformdirs
+
+from rema_data.errors import StorageError
+
+__all__ = ["rema_home", "storage_errors", "sync_folder", "write_atomic"]
+
+_STORAGE = {
+    errno.ENOSPC: "no space is left on the disk",
+    errno.EDQUOT: "the disk quota is used up",
+    errno.EROFS: "the file system is read-only",
+    errno.EACCES: "the folder may not be written",
+    errno.EPERM: "the folder may not be written",
+    errno.EIO: "the disk reports an input/output error",
+}
+
+
+def rema_home() -> Path:
+    """Folder of everything that can be rebuilt or fetched again: ``REMA_HOME``, else the user's cache folder."""
+    home = os.environ.get("REMA_HOME")
+    return Path(home).expanduser() if home else platformdirs.user_cache_path("rema", appauthor=False)
+
+
+@contextmanager
+def storage_errors(path: Path) -> Iterator[None]:
+    """Turn what the operating system says about a full or closed disk into a StorageError about ``path``.
+
+    Raises
+    ------
+    StorageError
+        The disk is full or may not be written. Other ``OSError`` pass through.
+    """
+    try:
+        yield
+    except StorageError:
+        raise
+    except OSError as error:
+        if error.errno not in _STORAGE:
+            raise
+        raise StorageError(
+            f"cannot write {path}: {_STORAGE[error.errno]}",
+            hint="free some space or choose another folder, then run the same command again: it resumes",
+            path=str(path),
+            errno=error.errno,
+        ) from error
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the names in ``folder`` survive a power cut, where the system can do that."""
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def write_atomic(path: Path, data: bytes | str) -> None:
+    """Write ``data`` to ``path`` through a temporary name, fsync and rename.
+
+    Parameters
+    ----------
+    path : Path
+        Its folder is created where it is missing.
+    data : bytes or str
+        Text is written as UTF-8.
+
+    Raises
+    ------
+    StorageError
+        The disk is full or may not be written; ``path`` is then as it was before.
+    """
+    payload = data.encode() if isinstance(data, str) else data
+    with storage_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        temporary = Path(name)
+        try:
+            with os.fdopen(descriptor, "wb") as file:
+                file.write(payload)
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.chmod(0o644)
+            temporary.replace(path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+        sync_folder(path.parent)

@@ -1,0 +1,65 @@
+"""References and digests."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from evaluator.policy import BUILT_INS, PolicyHost, digest, resolve
+from rema_data.errors import InputError, MissingFileError
+
+from .batches import make_batch
+from .conftest import WritePolicy
+
+
+def test_a_file_a_class_and_a_built_in(tmp_path: Path) -> None:
+    path = tmp_path / "my_policy.py"
+    path.write_text("class Policy: ...\n")
+    assert (resolve(str(path)).name, resolve(str(path)).class_name) == ("my_policy", "Policy")
+    other = resolve(f"{path}:Other")
+    assert (other.name, other.class_name, other.path) == ("my_policy-Other", "Other", path.resolve())
+    for name in BUILT_INS:
+        assert resolve(name).path.is_file()
+    (tmp_path / "random.py").write_text("")
+    assert resolve(str(tmp_path / "random.py")).name == "random.py"
+
+
+def test_the_suffix_is_suggested(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.py").write_text("")
+    with pytest.raises(InputError, match=r"write mine\.py"):
+        resolve("mine")
+
+
+def test_built_ins_are_found_without_importing_them() -> None:
+    code = "import sys; from evaluator.policy import resolve; resolve('random'); sys.exit('baselines' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_the_digest_covers_code_class_and_weights(tmp_path: Path) -> None:
+    path, weights = tmp_path / "my_policy.py", tmp_path / "weights"
+    path.write_text("class Policy: ...\n")
+    weights.write_bytes(b"1")
+    seen = {
+        digest(resolve(str(path)), None),
+        digest(resolve(f"{path}:Other"), None),
+        digest(resolve(str(path)), weights),
+    }
+    weights.write_bytes(b"2")
+    seen.add(digest(resolve(str(path)), weights))
+    path.write_text("class Policy: pass\n")
+    seen.add(digest(resolve(str(path)), weights))
+    assert len(seen) == 5
+    assert digest(resolve(str(path)), weights) == digest(resolve(str(path)), weights)
+    with pytest.raises(MissingFileError):
+        digest(resolve(str(path)), tmp_path / "none")
+
+
+def test_modules_beside_the_policy_can_be_imported(write_policy: WritePolicy, tmp_path: Path) -> None:
+    (tmp_path / "my_helper.py").write_text("ANGLE = 5\n")
+    with PolicyHost(write_policy("good[:, 2] = my_helper.ANGLE\nreturn good", top="import my_helper"), None) as host:
+        answers = host.act(make_batch(2))
+    assert all(isinstance(answer, int) and answer % 16 == 5 for answer in answers)
