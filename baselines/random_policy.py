@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from baselines.observation_hash import observation_number
+from baselines.observation_hash import observation_numbers
 from evaluator.policy.interface import ObservationBatch
 
 __all__ = ["RandomPolicy"]
@@ -30,7 +30,10 @@ class RandomPolicy:
     def act(self, observations: ObservationBatch) -> npt.NDArray[np.int64]:
         """Grid indices, int64 (N,)."""
         actions = np.empty(len(observations), np.int64)
-        for n in range(len(observations)):
-            allowed = np.flatnonzero(observations.valid[n])
-            actions[n] = allowed[observation_number(observations, n) % len(allowed)]
+        valid, allowed = None, np.empty(0, np.int64)
+        for n, number in enumerate(observation_numbers(observations)):
+            if valid is None or not np.array_equal(valid, observations.valid[n]):
+                valid = observations.valid[n]
+                allowed = np.flatnonzero(valid)
+            actions[n] = allowed[number % len(allowed)]
         return actions

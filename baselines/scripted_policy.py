@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from baselines.observation_hash import observation_number
+from baselines.observation_hash import observation_numbers
 from evaluator.policy.interface import ObservationBatch
 from evaluator.sim.parameters import WORLD
 from rema_data import grid
@@ -35,17 +35,21 @@ class ScriptedPolicy:
 
     def act(self, observations: ObservationBatch, situations: tuple[Situation, ...]) -> npt.NDArray[np.int64]:
         """Grid indices, int64 (N,)."""
+        angles = np.array(
+            [_angle(*pair) for pair in zip(observations.valid, observation_numbers(observations), strict=True)]
+        )
         offset_m = WORLD.scripted_push_offset_m if observations.primitive == Primitive.PUSH else 0.0
-        actions = np.empty(len(observations), np.int64)
-        for n, situation in enumerate(situations):
-            valid = observations.valid[n]
-            # 16 angles for one arm, 8 for two: the angles that `valid` allows somewhere.
-            angles = np.flatnonzero(valid.any(axis=(0, 1)))
-            k = int(angles[observation_number(observations, n) % len(angles)])
-            wanted = grid.snap(situation.target.x_m - offset_m, situation.target.y_m, k * 2 * np.pi / grid.ANGLES)
-            i, j, k = (int(part) for part in grid.decode(wanted))
-            actions[n] = grid.encode(*nearest_valid(valid, i, j, k))
-        return actions
+        x_m = np.array([situation.target.x_m - offset_m for situation in situations])
+        y_m = np.array([situation.target.y_m for situation in situations])
+        rows, columns, _ = grid.decode(grid.snap(x_m, y_m, angles * (2 * np.pi / grid.ANGLES)))
+        cells = zip(observations.valid, rows.tolist(), columns.tolist(), angles.tolist(), strict=True)
+        return np.array([grid.encode(*nearest_valid(*cell)) for cell in cells], np.int64)
+
+
+def _angle(valid: npt.NDArray[np.bool_], number: int) -> int:
+    """One of the angles that can be reached somewhere, each equally likely: 16 with one arm, 8 with two."""
+    allowed = np.flatnonzero(valid.reshape(-1, grid.ANGLES).any(axis=0))
+    return int(allowed[number % len(allowed)])
 
 
 def nearest_valid(valid: npt.NDArray[np.bool_], i: int, j: int, k: int) -> tuple[int, int, int]:

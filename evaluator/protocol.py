@@ -71,21 +71,26 @@ def protocol(task: str, name: str) -> dict[str, Any]:
 def _criterion(kind: StepKind) -> str:
     """What counts as success of a step, with its thresholds."""
     if kind.primitive is Primitive.PUSH:
-        goal = f"the target's centre of mass moves at least {WORLD.push_success_m:g} m in +x, measured at rest"
+        goal = f"at rest, the target's centre of mass is at least {WORLD.push_success_m:g} m further in +x than before"
     else:
         lift_m = WORLD.pair_success_lift_m if kind.embodiment.two_arms else WORLD.grasp_success_lift_m
         goal = (
-            f"the target's centre of mass rises at least {lift_m:g} m and is still held after {WORLD.hold_steps} steps"
+            f"{WORLD.hold_steps} simulation steps after the lift, the target's centre of mass is at least {lift_m:g} m "
+            "higher than on the table, and the target is still held"
         )
-    rules = {
-        Embodiment.GRIPPER: "",
-        Embodiment.TOOL: "; only the held tool may touch the target",
-        Embodiment.STICKS: "; only the held sticks may touch the target",
-        Embodiment.PINCHED: "; only the pinched object may touch the target",
-    }
-    kept = "" if kind.embodiment is Embodiment.GRIPPER else f"; no tool slips more than {WORLD.max_tool_slip_m:g} m"
-    stop = f"; a descent that meets more than {WORLD.stop_force_n:g} N ends the attempt"
-    return goal + rules[kind.embodiment] + kept + stop
+    rules = [goal, f"a hand or tool that lands on the target with more than {WORLD.stop_force_n:g} N ends the attempt"]
+    if kind.embodiment is not Embodiment.GRIPPER:
+        allowed = {
+            Embodiment.TOOL: "the held tool",
+            Embodiment.STICKS: "the two held sticks",
+            Embodiment.PINCHED: "the pinched object",
+        }
+        rules.append(f"nothing but {allowed[kind.embodiment]} touches the target")
+        rules.append(
+            f"no tool moves more than {WORLD.max_tool_slip_m:g} m or turns more than {WORLD.max_tool_turn_rad:g} rad "
+            "in the hand"
+        )
+    return "; ".join(rules)
 
 
 def protocol_hash(task: str, name: str) -> str:

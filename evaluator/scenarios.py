@@ -38,6 +38,7 @@ __all__ = [
     "ScenarioList",
     "encode_list",
     "load_list",
+    "manifest_path",
     "reference_pinch",
     "reference_tools",
     "scenario_id",
@@ -46,7 +47,8 @@ __all__ = [
 ]
 
 SPLITS = ("test", "val")
-MANIFEST = Path("scenarios", "manifest.json")
+VERSION = "v1"
+"""The version of the lists that evaluations use; older and newer ones may lie beside it."""
 
 _SPEC = tuple(field.name for field in dataclasses.fields(ObjectSpec) if field.name != "shape")
 _PLACEMENT = ("x_m", "y_m", "yaw_rad")
@@ -176,14 +178,14 @@ def write_list(path: Path, scenarios: Sequence[Scenario]) -> str:
 
 
 def update_manifest(
-    path: Path, version: str, entry: str, *, file: str, sha256: str, count: int, seed_domain: str
+    path: Path, version: str, entry: str, *, file: str, sha256: str, count: int, seed_domain: str, **origin: str | int
 ) -> None:
     """Add or replace one list in the manifest at ``path``; it is created where it is missing.
 
     Parameters
     ----------
     path : Path
-        ``manifests/scenarios/manifest.json``.
+        ``manifests/scenarios/VERSION/manifest.json``.
     version : str
         Of all the lists in it.
     entry : str
@@ -194,6 +196,8 @@ def update_manifest(
     count : int
     seed_domain : str
         Which part of the seed space its scenarios were drawn from.
+    **origin
+        What else tells how the list was made, kept as it is.
 
     Raises
     ------
@@ -209,9 +213,14 @@ def update_manifest(
                 hint="lists are immutable: move the old manifest away before writing a new version",
                 path=str(path),
             )
-    content["lists"][entry] = {"file": file, "sha256": sha256, "count": count, "seed_domain": seed_domain}
+    content["lists"][entry] = {"file": file, "sha256": sha256, "count": count, "seed_domain": seed_domain, **origin}
     content["lists"] = dict(sorted(content["lists"].items()))
     write_atomic(path, json.dumps(content, indent=2) + "\n")
+
+
+def manifest_path(version: str) -> Path:
+    """Where the manifest of a version of the lists lies."""
+    return manifests_dir() / "scenarios" / version / "manifest.json"
 
 
 def load_list(task: str, split: str = "test", version: str | None = None) -> ScenarioList:
@@ -222,7 +231,7 @@ def load_list(task: str, split: str = "test", version: str | None = None) -> Sce
     task : str
     split : {"test", "val"}
     version : str, optional
-        Refuse any other version; the manifest's by default.
+        ``VERSION`` by default.
 
     Raises
     ------
@@ -234,16 +243,15 @@ def load_list(task: str, split: str = "test", version: str | None = None) -> Sce
         The file is not the one that the manifest names.
     """
     check_task(task)
-    path = manifests_dir() / MANIFEST
+    version = VERSION if version is None else version
+    path = manifest_path(version)
     if not path.is_file():
-        raise MissingFileError(f"there is no scenario manifest at {path}", hint="run `rema scenarios`", path=str(path))
-    content = json.loads(path.read_text(encoding="utf-8"))
-    if version not in (None, content["version"]):
-        raise InputError(
-            f"scenario lists of version {version} are not here",
-            hint=f"this installation has {content['version']}",
-            version=version,
+        raise MissingFileError(
+            f"there are no scenario lists of version {version}: {path} does not exist",
+            hint="use a version that is there, or restore it: git checkout -- manifests",
+            path=str(path),
         )
+    content = json.loads(path.read_text(encoding="utf-8"))
     entry = content["lists"].get(f"{task}/{split}")
     if entry is None:
         raise InputError(

@@ -19,6 +19,7 @@ __all__ = ["VERBS", "cli"]
 VERBS: dict[str, str] = {
     "evaluate": "Score a policy on frozen scenarios.",
     "leaderboard": "Compare runs in one table, beside the paper's rates.",
+    "scenarios": "Draw a new version of the frozen scenario lists.",
 }
 """Verbs in the order of the help. Verb ``x`` is the click command ``x`` of the module ``evaluator.cli.x``."""
 

@@ -9,7 +9,16 @@ from typing import Self
 
 from rich.console import Console
 from rich.logging import RichHandler
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
 from rich.text import Text
 
 __all__ = ["StderrProgress"]
@@ -35,7 +44,7 @@ class StderrProgress:
         self._console = Console(stderr=True)
         columns = (TextColumn("{task.description:>14}"), BarColumn(None), MofNCompleteColumn(), _Rate())
         self._bars = Progress(*columns, TimeRemainingColumn(elapsed_when_finished=True), console=self._console)
-        self._bar: int | None = None
+        self._bar: TaskID | None = None
         self._live = self._console.is_terminal
         self._name, self._total, self._done = "", 0, 0
         self._began = self._line = time.monotonic()
@@ -66,9 +75,9 @@ class StderrProgress:
     def advance(self, n: int) -> None:
         """So many items more are done."""
         self._done += n
-        if self._live and self._bar is not None:
-            self._bars.advance(self._bars.task_ids[-1], n)
-        elif not self._live and time.monotonic() - self._line > _LINE_EVERY_S:
+        if self._bar is not None:
+            self._bars.advance(self._bar, n)
+        elif time.monotonic() - self._line > _LINE_EVERY_S:
             self._line = time.monotonic()
             self._write_line()
 

@@ -46,11 +46,18 @@ def _facts(summary: dict[str, Any]) -> Table:
     if summary["policy_errors"]:
         table.add_row("policy errors", Text(f"{summary['policy_errors']:,} (counted as failures)", style="yellow"))
     if summary["infra_errors"]:
-        low, high = summary.get("success_rate_bounds") or (None, None)
-        bounds = "" if low is None else f"; the rate is in {100 * low:.1f} .. {100 * high:.1f} % whatever they were"
+        bounds = ""
+        if summary.get("success_rate_bounds"):
+            low, high = (100 * bound for bound in summary["success_rate_bounds"])
+            bounds = f"; the rate is in {low:.1f} .. {high:.1f} % whatever they were"
         table.add_row("infra errors", Text(f"{summary['infra_errors']:,} (not counted){bounds}", style="red"))
-    for step in summary.get("funnel") or []:
-        table.add_row(f"step {step['step']}", Text(f"{step['successes']:,} of {step['reached']:,} that reached it"))
+    if summary["protocol"] == "end-to-end":
+        for step in summary.get("funnel", ()):
+            passed = format_rate(step["succeeded"], step["attempted"])
+            table.add_row(
+                f"step {step['step'] + 1}",
+                Text(f"{step['succeeded']:,} of {step['attempted']:,} that reached it, {passed}"),
+            )
     return table
 
 

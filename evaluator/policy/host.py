@@ -22,6 +22,7 @@ __all__ = ["PolicyHost", "PolicyLimits"]
 _LOG = logging.getLogger(__name__)
 _LONGEST_NUMBER = 8  # bytes of one returned number
 _OUTPUT_SHOWN = 2000
+_WARNINGS = 3  # failed batches that are logged as warnings: the counts are in the summary
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +38,8 @@ class PolicyLimits:
     log_head_bytes, log_tail_bytes : int
         Kept of the beginning and of the end of what the policy prints.
     retried_batches : int
-        Failed batches in a row whose observations are asked again one by one. After these a failed batch is charged
-        whole, until one succeeds.
+        Failed batches in a row whose observations are asked again one by one; after these a failed batch is charged
+        whole, until one succeeds. A batch that raised does not count if any of its observations is answered alone.
     deaths_in_row : int
         While asking one by one: time-outs and deaths in a row after which the rest of the batch is charged too.
     """
@@ -93,6 +94,7 @@ class PolicyHost:
         self._privileged = False
         self._number = 0
         self._failed_batches = 0
+        self._warned = 0
         self.restarts = 0
 
     @property
@@ -149,10 +151,15 @@ class PolicyHost:
         self._failed_batches += 1
         if self._failed_batches > self._limits.retried_batches:
             return [answers] * len(batch)
-        _LOG.warning("policy %s failed on a batch: %s: %s", self._spec.name, answers.reason, answers.detail)
+        level = logging.WARNING if self._warned < _WARNINGS else logging.DEBUG
+        self._warned += 1
+        _LOG.log(level, "policy %s failed on a batch: %s: %s", self._spec.name, answers.reason, answers.detail)
         if len(batch) == 1:
             return [answers]
-        return self._ask_one_by_one(batch, shown)
+        singles = self._ask_one_by_one(batch, shown)
+        if answers.reason == FaultReason.EXCEPTION and any(isinstance(answer, int) for answer in singles):
+            self._failed_batches = 0  # exceptions are cheap: a policy that raises now and then is asked on
+        return singles
 
     def _ask_one_by_one(self, batch: ObservationBatch, shown: tuple[Situation, ...] | None) -> list[Answer]:
         """Find out which observation a failed batch is to be charged to."""

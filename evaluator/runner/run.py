@@ -69,6 +69,7 @@ def run_evaluation(
     KeyboardInterrupt
         Workers are stopped; run again to go on.
     """
+    start = time.perf_counter()
     progress = progress or Silent()
     backend = backend or default_backend()
     scenarios = load_list(config.task, config.split)
@@ -90,7 +91,7 @@ def run_evaluation(
     }
     with RunFolder.locked(config.output, identity, config.episodes) as folder:
         folder.set_policy(name=config.policy.name, file=config.policy.path.name, class_name=config.policy.class_name)
-        return _Run(config, progress, backend, scenarios, folder).go()
+        return _Run(config, progress, backend, scenarios, folder, start).go()
 
 
 class _Run:
@@ -103,32 +104,35 @@ class _Run:
         backend: Backend,
         scenarios: ScenarioList,
         folder: RunFolder,
+        start: float,
     ) -> None:
         self.config, self.progress, self.backend = config, progress, backend
-        self.scenarios, self.folder = scenarios, folder
+        self.scenarios, self.folder, self.start = scenarios, folder, start
         self.plan = Plan(scenarios.scenarios[: config.episodes], config.task, config.protocol)
         self.ledger = Ledger(folder.records, folder.segment)
         self.seconds = dict.fromkeys(PHASES, 0.0)
         self.own_bank = folder.path / ".observations"
 
     def go(self) -> EvaluationResult:
-        start, done = time.perf_counter(), self._finished()
+        done = self._finished()
         if done:
             earlier = len(self.folder.header["segments"])
             self.progress.note(f"resumed at {done:,}/{self.config.episodes:,} after {earlier} segments")
         failed: PolicyFailureError | None = None
         try:
-            for step in self.plan.steps:
-                self._step(step)
-            check_faults(self.ledger)
-        except PolicyFailureError as error:
-            failed = error
+            try:
+                for step in self.plan.steps:
+                    self._step(step)
+                check_faults(self.ledger)
+            except PolicyFailureError as error:
+                failed = error
+            self._write_tables()
         finally:
             self.ledger.close()
-            self.seconds["total"] = time.perf_counter() - start
+            self.seconds["total"] = time.perf_counter() - self.start
             rounded = {phase: round(seconds, 3) for phase, seconds in self.seconds.items()}
             self.folder.note_segment(seconds=rounded, finished=self._finished() - done)
-        result = self._write()
+        result = self._write_summary()
         if failed is not None:
             raise failed
         self._check_infrastructure(result.summary)
@@ -184,10 +188,12 @@ class _Run:
             valid = backend.valid_actions(config.task, step)
             infer_batches(policy, bank, wanted, valid, self.ledger, self.progress)
 
-    def _write(self) -> EvaluationResult:
+    def _write_tables(self) -> None:
         table = episodes_table(self.scenarios, self.config.episodes, self.plan.steps, self.ledger)
         self.folder.write("episodes.parquet", to_parquet(table))
         self.folder.write("timings.parquet", to_parquet(timings_table(self.ledger, self.config.episodes)))
+
+    def _write_summary(self) -> EvaluationResult:
         summary = summarise(self.config, self.plan, self.ledger, self.folder.header)
         self.folder.write("summary.json", json.dumps(summary, indent=2) + "\n")
         shutil.rmtree(self.own_bank, ignore_errors=True)

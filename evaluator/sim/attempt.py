@@ -8,8 +8,6 @@ from dataclasses import dataclass, field
 
 from evaluator.sim.motion import JointPath
 from evaluator.sim.parameters import WorldParameters
-from evaluator.sim.planar import Rect, gap
-from evaluator.sim.shapes import footprint, held_footprint
 from evaluator.sim.world import Arm, World
 from rema_data.schema import Failure, Grip, Situation
 
@@ -148,28 +146,3 @@ def relative(
 def wrap(angle: float) -> float:
     """Angle in [-pi, pi)."""
     return (angle + math.pi) % (2 * math.pi) - math.pi
-
-
-def finger_footprint(opening_m: float, parameters: WorldParameters) -> tuple[Rect, Rect]:
-    """Footprints of the two fingers in the hand frame."""
-    half_thick, half_wide = parameters.finger_thickness_m / 2, parameters.finger_lateral_m / 2
-    x = opening_m / 2 + half_thick
-    return Rect(x, 0, 0, half_thick, half_wide), Rect(-x, 0, 0, half_thick, half_wide)
-
-
-def hand_footprint(opening_m: float, grip: Grip | None, parameters: WorldParameters) -> tuple[Rect, ...]:
-    """Footprints of fingers and held tool in the hand frame: all that reaches down to an object's height."""
-    fingers = finger_footprint(opening_m, parameters)
-    return fingers if grip is None else (*fingers, *held_footprint(grip))
-
-
-def clear_of_target(
-    situation: Situation, footprints: Sequence[Rect], pose: tuple[float, float, float], margin_m: float
-) -> bool:
-    """Whether footprints, moved to a world pose (x, y, yaw), keep ``margin_m`` away from the target."""
-    return gap((rect.moved(*pose) for rect in footprints), footprint(situation.target)) > margin_m
-
-
-def lowest_point(grip: Grip | None) -> float:
-    """Height of the lowest point of fingers and held tool above the tool centre point (0 or negative)."""
-    return 0.0 if grip is None else min(0.0, grip.z_m - grip.spec.height_m / 2)

@@ -34,7 +34,7 @@ class WorldParameters:
 
     # Hand: WSG-50. The tool centre point lies between the fingertips, tcp_offset_m below the frame of arm link 7.
     tcp_offset_m: float = 0.1985
-    finger_lateral_m: float = 0.016
+    finger_lateral_m: float = 0.02
     finger_thickness_m: float = 0.010
     finger_length_m: float = 0.057
     opening_max_m: float = 0.110
@@ -45,10 +45,10 @@ class WorldParameters:
 
     # Objects: I, L, T equally often; two random scales, along the bar and across it (paper: "scaled in 2 axes")
     length_min_m: float = 0.07
-    length_max_m: float = 0.135
+    length_max_m: float = 0.13
     width_min_m: float = 0.020
     width_max_m: float = 0.045
-    arm_ratio: float = 0.9  # second bar of L and T over the main bar's length, its width included
+    arm_ratio: float = 0.86  # second bar of L and T over the main bar's length, its width included
     object_height_m: float = 0.030
     density_kg_m3: float = 500.0
 
@@ -59,23 +59,23 @@ class WorldParameters:
     stick_width_max_m: float = 0.035
 
     # Spawn rectangle of the centre of mass; yaw is uniform
-    grasp_spawn_half_m: float = 0.11
+    grasp_spawn_half_m: float = 0.108
     push_spawn_x_min_m: float = -0.02
     push_spawn_x_max_m: float = 0.11
     push_spawn_half_y_m: float = 0.11
 
     # Friction: Bullet multiplies the two coefficients of a contact
     finger_friction: float = 1.7
-    object_friction: float = 0.424
+    object_friction: float = 0.38
     table_friction: float = 0.46
     finger_spinning_friction: float = 0.01
 
     # Motion
     free_speed_m_s: float = 0.5
-    descend_speed_m_s: float = 0.25
+    descend_speed_m_s: float = 0.5
     lift_speed_m_s: float = 0.5
     push_speed_m_s: float = 1.0
-    tool_push_speed_m_s: float = 1.0
+    tool_push_speed_m_s: float = 0.36
     ramp_share: float = 0.2  # share of a motion's time spent in each ramp of the trapezoid
     approach_clearance_m: float = 0.010  # a simulated descent starts this far above the object
     stop_force_n: float = 30.0  # protective stop of the descent
@@ -84,20 +84,20 @@ class WorldParameters:
     tool_clearance_m: float = 0.004  # of a held tool's lowest point above the table
     lift_height_m: float = 0.30  # (paper) of a single hand
     push_distance_m: float = 0.30  # (paper)
-    scripted_push_offset_m: float = 0.10
+    scripted_push_offset_m: float = 0.095
     hold_steps: int = 60
     grip_settle_steps: int = 12  # after a held tool is put back into a hand
     settle_steps: int = 120
 
     # Two-stick pincer
-    pair_open_m: float = 0.050  # from the pair's origin to each stick's tip, open
+    pair_open_m: float = 0.042  # from the pair's origin to each stick's tip, open
     pair_closing_speed_m_s: float = 0.12  # each arm
     pair_squeeze_n: float = 20.0
     pair_gain_m_per_n: float = 2e-5  # integrator of the squeeze, per control tick
     pair_max_correction_m: float = 5e-4  # per control tick
     pair_control_every: int = 4  # simulation steps between two control ticks
     pair_clearance_m: float = 0.006
-    pair_lift_height_m: float = 0.15  # as high as both arms reach together (see joint4_limit_rad)
+    pair_lift_height_m: float = 0.12  # as high as both arms reach together (see joint4_limit_rad)
     pair_lift_speed_m_s: float = 0.35
     pinched_clearance_m: float = 0.010  # of a pinched object above the table while it pushes
     pinched_push_speed_m_s: float = 0.3

@@ -111,7 +111,9 @@ def _box(kind: str, centre: str, size: tuple[float, float, float], colour: str =
 
 
 @lru_cache(maxsize=8)
-def urdf_file(parameters: WorldParameters = WORLD, meshes: str | None = None) -> tuple[str, tempfile.TemporaryDirectory[str]]:
+def urdf_file(
+    parameters: WorldParameters = WORLD, meshes: str | None = None
+) -> tuple[str, tempfile.TemporaryDirectory[str]]:
     """The URDF as a file that lives as long as the process: its path, and the folder that keeps it."""
     folder = tempfile.TemporaryDirectory(prefix="rema-urdf-")
     path = Path(folder.name) / "iiwa7_wsg50.urdf"

@@ -7,7 +7,7 @@ from typing import Any
 
 from evaluator.sim.attempt import Attempt, Ended, Hand
 from evaluator.sim.parameters import WORLD, WorldParameters
-from evaluator.sim.primitives import grasp, pincer, push
+from evaluator.sim.primitives import grasp, pincer, pinched, push
 from evaluator.sim.reach import acting_arm, hand_yaws
 from evaluator.sim.world import Unstable, World
 from rema_data import grid
@@ -65,13 +65,13 @@ class Simulator:
         kind, parameters = situation.kind, self.parameters
         if kind.embodiment is Embodiment.GRIPPER and kind.primitive is Primitive.GRASP:
             return grasp.can_touch(situation, pose, parameters)
-        if kind.embodiment.two_arms:
+        if kind.embodiment is Embodiment.PINCHED:
+            return pinched.can_touch(situation, pose, parameters)
+        if kind.embodiment is Embodiment.STICKS:
             return pincer.can_touch(situation, pose, parameters)
         return push.can_touch(situation, situation.grips[0] if situation.grips else None, pose, parameters)
 
-    def _attempt(
-        self, world: World, situation: Situation, pose: tuple[float, float, float], arm: str
-    ) -> StepOutcome:
+    def _attempt(self, world: World, situation: Situation, pose: tuple[float, float, float], arm: str) -> StepOutcome:
         kind = situation.kind
         world.begin()
         target = situation.target
@@ -91,7 +91,7 @@ class Simulator:
             if kind.embodiment is Embodiment.STICKS:
                 pinch = pincer.pincer(attempt, pose)
             elif kind.embodiment is Embodiment.PINCHED:
-                pincer.push_pinched(attempt, pose)
+                pinched.push_pinched(attempt, pose)
             elif kind.primitive is Primitive.GRASP:
                 grip = grasp.grasp(attempt, (x, y, yaw))
             else:
@@ -106,6 +106,4 @@ class Simulator:
         }
         if not all(math.isfinite(value) for value in evidence.values()):
             return StepOutcome(False, Failure.UNSTABLE, arm=arm, sim_steps=world.steps)
-        return StepOutcome(
-            failure is None, failure, arm=arm, sim_steps=world.steps, grip=grip, pinch=pinch, **evidence
-        )
+        return StepOutcome(failure is None, failure, arm=arm, sim_steps=world.steps, grip=grip, pinch=pinch, **evidence)

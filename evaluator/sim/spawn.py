@@ -49,10 +49,13 @@ def draw_placement(rng: np.random.Generator, kind: StepKind, stick: bool, p: Wor
     return Placement(spec, x, y, float(rng.uniform(0, 2 * np.pi)))
 
 
-def draw_episode(rng: np.random.Generator, task: str, parameters: WorldParameters = WORLD) -> tuple[Placement, ...]:
-    """The objects of every step of an episode, in order."""
+def draw_step(rng: np.random.Generator, task: str, step: int, parameters: WorldParameters = WORLD) -> Placement:
+    """A random object for one step of a task: a stick where two arms will need one as a tool."""
     steps = TASKS[task]
     two_arms = any(kind.embodiment.two_arms for kind in steps)
-    return tuple(
-        draw_placement(rng, kind, two_arms and kind.embodiment is Embodiment.GRIPPER, parameters) for kind in steps
-    )
+    return draw_placement(rng, steps[step], two_arms and steps[step].embodiment is Embodiment.GRIPPER, parameters)
+
+
+def draw_episode(rng: np.random.Generator, task: str, parameters: WorldParameters = WORLD) -> tuple[Placement, ...]:
+    """The objects of every step of an episode, in order."""
+    return tuple(draw_step(rng, task, step, parameters) for step in range(len(TASKS[task])))

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from evaluator.sim.attempt import Attempt, Ended, clear_of_target, hand_footprint, relative
+from evaluator.sim.attempt import Attempt, Ended, relative
+from evaluator.sim.footprints import clear_of_target, hand_footprint
 from evaluator.sim.motion import line, profile
-from evaluator.sim.planar import Rect, gap
 from evaluator.sim.parameters import WorldParameters
+from evaluator.sim.planar import Rect, gap
 from evaluator.sim.shapes import footprint
 from rema_data.schema import Failure, Grip, Situation
 

@@ -7,42 +7,24 @@ both hands together or apart by a small correction until the weaker side presses
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.sim.attempt import Attempt, Ended, finger_footprint, lowest_point
+from evaluator.sim.attempt import Attempt, Ended
+from evaluator.sim.footprints import HAND_TURNS, SIDES
 from evaluator.sim.kinematics import solve_path, within_limits
-from evaluator.sim.parameters import WorldParameters
-from evaluator.sim.planar import Rect
-from evaluator.sim.shapes import held_footprint
-from rema_data.schema import Failure, Grip
+from evaluator.sim.motion import JointPath, profile
+from rema_data.schema import Failure
 
 Array = npt.NDArray[Any]
 
-SIDES = (1.0, -1.0)
-"""Left hand along +x of the pair frame, right hand along -x."""
-HAND_TURNS = (math.pi / 2, 3 * math.pi / 2)
-"""Yaw of the left and the right hand in the pair frame."""
 _PROBE_M = 1e-3
-
-
-def inner_extents(grips: tuple[Grip, ...]) -> tuple[float, float]:
-    """How far each stick reaches from its hand towards the other one, metres: left, right."""
-    left = min(rect.moved(0, 0, HAND_TURNS[0]).extent(0.0)[0] for rect in held_footprint(grips[0]))
-    right = max(rect.moved(0, 0, HAND_TURNS[1]).extent(0.0)[1] for rect in held_footprint(grips[1]))
-    return -left, right
-
-
-def hand_footprints(grips: tuple[Grip, ...], distances: tuple[float, float], p: WorldParameters) -> list[list[Rect]]:
-    """Footprints in the pair frame: fingers and stick of the left hand, then of the right hand."""
-    result = []
-    for grip, distance, side, turn in zip(grips, distances, SIDES, HAND_TURNS, strict=True):
-        parts = (*finger_footprint(grip.opening_m, p), *held_footprint(grip))
-        result.append([rect.moved(side * distance, 0.0, turn) for rect in parts])
-    return result
+LOST_TICKS = 24
+"""Control ticks without contact after which a carried body counts as lost."""
 
 
 @dataclass(slots=True)
@@ -60,6 +42,10 @@ class PairPath:
     positions: Array
     outwards: Array
     velocities: Array
+
+    def of_each_hand(self) -> list[JointPath]:
+        """The path of every hand by itself."""
+        return [JointPath(self.positions[side], self.velocities[side]) for side in range(2)]
 
 
 def pair_path(
@@ -80,9 +66,7 @@ def pair_path(
     """
     p = attempt.parameters
     positions, outwards = [], []
-    for hand, side, turn, distance, height in zip(
-        attempt.hands, SIDES, HAND_TURNS, distances, heights, strict=True
-    ):
+    for hand, side, turn, distance, height in zip(attempt.hands, SIDES, HAND_TURNS, distances, heights, strict=True):
         yaw = np.full(len(way), theta + turn)
         both = [
             solve_path(
@@ -151,24 +135,20 @@ class Squeeze:
             attempt.step(attempt.parameters.control_every)
         return weaker
 
-    def carry(self, attempt: Attempt, path: PairPath, lost: Failure, after_tick: Any = None) -> None:
-        """Follow a path while squeezing; ends with ``lost`` once neither... or only one stick feels the body."""
+    def carry(
+        self, attempt: Attempt, path: PairPath, lost: Failure, after_tick: Callable[[], object] | None = None
+    ) -> None:
+        """Follow a path while squeezing; ends the attempt with ``lost`` once a stick has lost the body for good."""
         misses = 0
         for row in range(1, path.positions.shape[1]):
             weaker = self.correct(attempt)
             command(attempt, path, row, self.inwards_m)
             attempt.step(attempt.parameters.control_every)
             misses = misses + 1 if weaker <= 0.0 else 0
-            if misses >= 24:
+            if misses == LOST_TICKS:
                 raise Ended(lost)
             if after_tick is not None:
                 after_tick()
-
-
-def pair_heights(grips: tuple[Grip, ...], clearance_m: float) -> tuple[float, float]:
-    """Heights of the two tool centre points that put each hand's lowest point ``clearance_m`` above the way's z."""
-    left, right = (clearance_m - lowest_point(grip) for grip in grips)
-    return left, right
 
 
 def take_sticks(
@@ -179,9 +159,7 @@ def take_sticks(
 ) -> None:
     """Put the sticks into the hands, at rest."""
     x, y, theta = pose
-    for hand, side, turn, distance, height in zip(
-        attempt.hands, SIDES, HAND_TURNS, distances, heights, strict=True
-    ):
+    for hand, side, turn, distance, height in zip(attempt.hands, SIDES, HAND_TURNS, distances, heights, strict=True):
         grip = hand.grip
         assert grip is not None
         hx, hy, yaw = x + side * distance * math.cos(theta), y + side * distance * math.sin(theta), theta + turn
@@ -194,3 +172,34 @@ def take_sticks(
             yaw + grip.yaw_rad,
         )
         hand.arm.close_fingers()
+
+
+def lower(
+    attempt: Attempt,
+    pose: tuple[float, float, float],
+    start_m: float,
+    path: PairPath,
+    distances: tuple[float, float],
+    heights: tuple[float, float],
+) -> PairPath | None:
+    """Put the pair with its sticks ``start_m`` above the first row of ``path``, at rest.
+
+    Returns
+    -------
+    PairPath or None
+        The way down to that row; None where the pair already stands there.
+    """
+    down = None
+    if start_m > 0.0:
+        p = attempt.parameters
+        shares = profile(start_m, p.descend_speed_m_s, p.time_step_s * p.control_every, p.ramp_share)
+        fall = np.stack([np.full_like(shares, pose[0]), np.full_like(shares, pose[1]), start_m * (1 - shares)], axis=1)
+        down = pair_path(attempt, fall, pose[2], distances, heights)
+        # the same turn of joint 7 as the path that follows
+        down.positions[:, :, 6] += (path.positions[:, 0, 6] - down.positions[:, -1, 6])[:, None]
+    first = (path if down is None else down).positions[:, 0]
+    for side, hand in enumerate(attempt.hands):
+        assert hand.grip is not None
+        hand.arm.reset(first[side], hand.grip.opening_m)
+    take_sticks(attempt, pose, distances, (heights[0] + start_m, heights[1] + start_m))
+    return down

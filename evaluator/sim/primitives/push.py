@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from evaluator.sim.attempt import Attempt, Ended, clear_of_target, hand_footprint, lowest_point
+from evaluator.sim.attempt import Attempt, Ended
+from evaluator.sim.footprints import clear_of_target, hand_footprint, lowest_point
 from evaluator.sim.motion import line, profile
 from evaluator.sim.parameters import WorldParameters
 from evaluator.sim.planar import Rect, gap
@@ -14,6 +15,8 @@ from rema_data.schema import Failure, Grip, Situation
 
 POLL_EVERY = 4
 REST_SPEED_M_S = 0.005
+CLEAR_TOOL_M = 0.005
+"""As ``CLEAR_M``, for a held tool, which may shift a little in the hand before it touches anything."""
 
 
 def swept(footprints: tuple[Rect, ...], pose: tuple[float, float, float], distance_m: float) -> list[Rect]:
@@ -34,7 +37,7 @@ def can_touch(
 ) -> bool:
     """Whether hand or tool could touch the target anywhere on the way."""
     shape = hand_footprint(0.0 if grip is None else grip.opening_m, grip, parameters)
-    margin = CLEAR_M if grip is None else parameters.max_tool_slip_m
+    margin = CLEAR_M if grip is None else CLEAR_TOOL_M
     return gap(swept(shape, pose, parameters.push_distance_m), footprint(situation.target)) <= margin
 
 

@@ -92,6 +92,13 @@ def test_a_policy_that_always_raises_is_not_retried_for_ever(write_policy: Write
     assert len(calls.read_text()) == 6 + 3 * 4
 
 
+def test_a_policy_that_raises_in_every_batch_is_charged_for_one_observation_each(write_policy: WritePolicy) -> None:
+    spec = write_policy("if (observations.scene[:, 0, 0] == 0).any(): raise ValueError\nreturn good")
+    with PolicyHost(spec, None, "cpu", LIMITS) as host:
+        for _ in range(6):
+            assert reasons(host.act(make_batch(3))) == ["exception", "ok", "ok"]
+
+
 def test_a_hanging_observation_is_charged_alone(write_policy: WritePolicy) -> None:
     spec = write_policy("if (observations.scene[:, 0, 0] == np.float32(1e-4)).any(): time.sleep(60)\nreturn good")
     with PolicyHost(spec, None, "cpu", IMPATIENT) as host:

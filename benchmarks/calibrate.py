@@ -1,0 +1,152 @@
+"""Random and scripted success rates of the world beside the paper's, with Wilson intervals.
+
+    python benchmarks/calibrate.py                                  # all eight rates, 5,000 episodes each
+    python benchmarks/calibrate.py --tasks grasp --episodes 2000 --set length_max_m=0.13
+
+Episodes come from the ``calibrate`` seed domain, which no frozen scenario and no collected episode shares. Tools are
+picked up by the privileged reference pick. ``--set`` tries another value of a constant of ``WorldParameters``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import dataclasses
+import json
+import multiprocessing
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from evaluator.sim.parameters import WORLD, WorldParameters, parameters_hash
+from evaluator.sim.reach import reachable
+from evaluator.sim.reference import reference_pick, reference_pinch, tool_steps
+from evaluator.sim.simulator import Simulator
+from evaluator.sim.spawn import draw_episode, episode_generator
+from rema_data import grid
+from rema_data.schema import TASKS, Primitive, Situation
+
+PUBLISHED = {
+    "grasp": {"random": 5.53, "scripted": 72.77},
+    "push": {"random": 18.23, "scripted": 99.87},
+    "grasp_grasp": {"random": 1.77, "scripted": 23.47},
+    "grasp_push": {"random": 6.87, "scripted": 22.78},
+}
+ROOT_SEED = 20211201
+
+
+def count(job: tuple[str, range, WorldParameters]) -> dict[str, collections.Counter[str]]:
+    """Outcomes of the last step of some episodes, by policy."""
+    task, episodes, parameters = job
+    simulator = Simulator(parameters)
+    last = len(TASKS[task]) - 1
+    kind = TASKS[task][last]
+    valid = np.flatnonzero(reachable(kind, parameters).any(axis=0))
+    angles = grid.PAIR_ANGLES if kind.embodiment.two_arms else grid.ANGLES
+    offset = parameters.scripted_push_offset_m if kind.primitive is Primitive.PUSH else 0.0
+    counts: dict[str, collections.Counter[str]] = {"random": collections.Counter(), "scripted": collections.Counter()}
+    for episode in episodes:
+        rng = episode_generator(ROOT_SEED, "calibrate", task, episode)
+        placements = draw_episode(rng, task, parameters)
+        grips = tuple(reference_pick(simulator, task, step, placements[step], rng) for step in tool_steps(task))
+        held = tuple(grip for grip in grips if grip is not None)
+        pinch = None
+        if len(held) == len(grips) and task == "grasp_grasp_push":
+            pinch = reference_pinch(simulator, placements[2], held, rng)
+        if len(held) < len(grips) or (task == "grasp_grasp_push" and pinch is None):
+            for counter in counts.values():
+                counter["(not picked)"] += 1
+            continue
+        situation = Situation(task, last, placements[-1], held, pinch)
+        target = placements[-1]
+        yaw = float(rng.integers(angles)) * 2 * np.pi / grid.ANGLES
+        actions = {
+            "random": int(valid[rng.integers(len(valid))]),
+            "scripted": int(grid.snap(target.x_m - offset, target.y_m, yaw)),
+        }
+        for policy, action in actions.items():
+            outcome = simulator.run(situation, action)
+            counts[policy][outcome.failure or "success"] += 1
+    simulator.close()
+    return counts
+
+
+def measure(task: str, episodes: int, parameters: WorldParameters, pool: Any) -> list[dict[str, Any]]:
+    """Rates of both policies on one task, with intervals and the published rates."""
+    from scipy.stats import binomtest
+
+    started = time.perf_counter()
+    jobs = [(task, range(start, min(start + 25, episodes)), parameters) for start in range(0, episodes, 25)]
+    total: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
+    for counts in pool.imap_unordered(count, jobs):
+        for policy, counter in counts.items():
+            total[policy].update(counter)
+    rows = []
+    for policy, counter in total.items():
+        eligible = sum(counter.values()) - counter["(not picked)"]
+        successes = counter["success"]
+        interval = binomtest(successes, eligible).proportion_ci(method="wilson")
+        rows.append(
+            {
+                "task": task,
+                "policy": policy,
+                "episodes": eligible,
+                "successes": successes,
+                "rate": 100 * successes / eligible,
+                "low": 100 * interval.low,
+                "high": 100 * interval.high,
+                "published": PUBLISHED.get(task, {}).get(policy),
+                "outcomes": dict(sorted(((str(key), value) for key, value in counter.items()), key=lambda kv: -kv[1])),
+                "seconds": time.perf_counter() - started,
+            }
+        )
+    return rows
+
+
+def markdown(rows: list[dict[str, Any]]) -> str:
+    """The table as Markdown."""
+    lines = ["| task | policy | episodes | ours, % | 95 % | paper, % | difference |", "|---|---|---|---|---|---|---|"]
+    for row in rows:
+        paper = "-" if row["published"] is None else f"{row['published']:.2f}"
+        gap = "-" if row["published"] is None else f"{row['rate'] - row['published']:+.2f}"
+        lines.append(
+            f"| {row['task']} | {row['policy']} | {row['episodes']} | {row['rate']:.2f} "
+            f"| {row['low']:.1f} to {row['high']:.1f} | {paper} | {gap} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure and print; ``--json`` also writes the rows to a file."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--tasks", default=",".join(PUBLISHED))
+    parser.add_argument("--episodes", type=int, default=5000)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", dest="changes")
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    changes = {}
+    for change in arguments.changes:
+        name, _, value = change.partition("=")
+        changes[name] = type(getattr(WORLD, name))(float(value))
+    parameters = dataclasses.replace(WORLD, **changes)
+    rows: list[dict[str, Any]] = []
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(arguments.workers) as pool:
+        for task in arguments.tasks.split(","):
+            found = measure(task, arguments.episodes, parameters, pool)
+            rows += found
+            for row in found:
+                print(f"# {task} {row['policy']}: {row['outcomes']} {row['seconds']:.0f} s", file=sys.stderr)
+    print(f"\nparameters {parameters_hash(parameters)[:12]} {changes or ''}\n\n{markdown(rows)}")
+    if arguments.json:
+        arguments.json.write_text(json.dumps({"parameters": parameters_hash(parameters), "rows": rows}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

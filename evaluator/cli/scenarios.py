@@ -1,0 +1,35 @@
+"""``rema scenarios``: draw a new version of the frozen scenario lists."""
+
+from __future__ import annotations
+
+import click
+
+from rema_data.schema import TASKS
+
+
+@click.command(name="scenarios")
+@click.argument("version")
+@click.option("--task", "tasks", multiple=True, type=click.Choice(list(TASKS)), help="Only these (repeatable).")
+@click.option("--test", "test_count", default=10_000, show_default=True, help="Scenarios in each test list.")
+@click.option("--val", "val_count", default=2_000, show_default=True, help="Scenarios in each validation list.")
+@click.option("--workers", default=0, help="Processes; as many as there are cores by default.")
+def scenarios(version: str, tasks: tuple[str, ...], test_count: int, val_count: int, workers: int) -> None:
+    """Draw scenario lists under manifests/scenarios/VERSION. A list that is already there is never changed."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from evaluator.engines import default_workers
+    from evaluator.generate import write_lists
+
+    counts = {"test": test_count, "val": val_count}
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bars:
+        rows: dict[str, int] = {}
+
+        def advance(name: str, done: int) -> None:
+            if name not in rows:
+                rows[name] = bars.add_task(name, total=counts[name.rpartition("/")[2]])  # type: ignore[assignment]
+            bars.update(rows[name], completed=done)  # type: ignore[arg-type]
+
+        path = write_lists(version, tasks or tuple(TASKS), counts, workers or default_workers(), advance)
+    click.echo(path)

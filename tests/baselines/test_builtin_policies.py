@@ -1,0 +1,120 @@
+"""The random and the scripted baseline, and the example of the README."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import chisquare
+
+from baselines.random_policy import RandomPolicy
+from baselines.scripted_policy import ScriptedPolicy, nearest_valid
+from evaluator.policy.faults import check_answer
+from evaluator.policy.interface import ObservationBatch, Policy, PrivilegedPolicy
+from evaluator.sim.parameters import WORLD
+from rema_data import grid
+from tests.evaluator.policy.batches import make_batch, make_situation
+
+
+def example() -> Any:
+    path = Path(__file__).parents[2] / "examples" / "my_policy.py"
+    spec = importlib.util.spec_from_file_location("example_policy", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.Policy(None, "cpu")
+
+
+def with_valid(batch: ObservationBatch, valid: np.ndarray) -> ObservationBatch:
+    return ObservationBatch(batch.scene, batch.end_effector, batch.primitive, batch.embodiment, batch.task, 0, valid)
+
+
+def test_they_keep_the_contract() -> None:
+    assert isinstance(RandomPolicy(), Policy)
+    assert isinstance(ScriptedPolicy(), PrivilegedPolicy) and ScriptedPolicy.privileged
+    assert not hasattr(RandomPolicy, "privileged")
+
+
+def test_random_does_not_depend_on_batch_or_order() -> None:
+    batch = make_batch(12)
+    whole = RandomPolicy().act(batch)
+    assert len(set(whole.tolist())) > 8
+    assert [int(RandomPolicy().act(batch.one(n))[0]) for n in reversed(range(12))] == whole[::-1].tolist()
+
+
+def test_random_is_uniform_over_the_valid_grid() -> None:
+    batch = make_batch(600)
+    valid = np.zeros_like(batch.valid)
+    cells = [(10, 11, 3), (40, 20, 0), (59, 4, 15), (30, 30, 7)]
+    for cell in cells:
+        valid[(slice(None), *cell)] = True
+    drawn = RandomPolicy().act(with_valid(batch, valid)).tolist()
+    counts = [drawn.count(int(grid.encode(*cell))) for cell in cells]
+    assert sum(counts) == 600
+    assert chisquare(counts).pvalue > 1e-4
+
+
+@pytest.mark.parametrize(("primitive", "offset_m"), [("grasp", 0.0), ("push", WORLD.scripted_push_offset_m)])
+def test_scripted_goes_to_the_target(primitive: str, offset_m: float) -> None:
+    batch = make_batch(40, primitive=primitive)
+    generator = np.random.default_rng(1)
+    places = [tuple(float(part) for part in generator.uniform(-0.02, 0.1, 2)) for _ in range(40)]
+    actions = ScriptedPolicy().act(batch, tuple(make_situation(x_m, y_m) for x_m, y_m in places))
+    x_m, y_m, _ = grid.to_world(actions)
+    assert np.abs(x_m - [place[0] - offset_m for place in places]).max() <= grid.PIXEL_M / 2 + 1e-12
+    assert np.abs(y_m - [place[1] for place in places]).max() <= grid.PIXEL_M / 2 + 1e-12
+    assert len(set((actions % grid.ANGLES).tolist())) > 8
+
+
+def test_scripted_angles_of_two_arms_are_halved() -> None:
+    batch = make_batch(40)
+    batch.valid[..., 8:] = False
+    actions = ScriptedPolicy().act(batch, (make_situation(),) * 40)
+    assert set((actions % grid.ANGLES).tolist()) == set(range(8))
+
+
+def test_the_nearest_valid_pixel_keeps_the_angle() -> None:
+    valid = np.zeros((64, 64, 16), bool)
+    valid[30, 30, 5] = valid[20, 24, 5] = valid[20, 16, 5] = valid[24, 20, 5] = valid[20, 20, 6] = True
+    assert nearest_valid(valid, 30, 30, 5) == (30, 30, 5)
+    assert nearest_valid(valid, 20, 20, 5) == (20, 16, 5)  # three at the same distance: the lowest index
+    assert nearest_valid(valid, 29, 33, 5) == (30, 30, 5)
+
+
+@pytest.mark.parametrize("primitive", ["grasp", "push"])
+def test_the_example_always_answers_a_valid_action(primitive: str) -> None:
+    batch = make_batch(20, primitive=primitive)
+    batch.valid[:, 20:30, :, 3:9] = False
+    answers = check_answer(np.asarray(example().act(batch)), batch.valid)
+    assert all(isinstance(answer, int) for answer in answers)
+
+
+def test_the_example_grasps_across_the_bar_and_pushes_from_behind() -> None:
+    batch = make_batch(1)
+    rows, columns = np.nonzero(batch.scene[0] > 0.005)  # a bar along x: the jaws must close along y
+    i, j, k = example().act(batch)[0]
+    assert abs(i - rows.mean()) <= 0.5 and abs(j - columns.mean()) <= 0.5 and k % 8 == 4
+    push = make_batch(1, primitive="push", seed=3)
+    j = example().act(push)[0][1]
+    assert j < np.nonzero(push.scene[0] > 0.005)[1].min() or j == grid.VALID_MARGIN
+
+
+def test_the_example_points_a_tool_ahead() -> None:
+    batch = make_batch(1, primitive="push")
+    batch.end_effector[:] = 0
+    batch.end_effector[:, 60:80, 55:57, 1] = 1  # a bar from the hand along +y: a quarter turn back points it along +x
+    i, _, k = example().act(batch)[0]
+    rows, _ = np.nonzero(batch.scene[0] > 0.005)
+    assert k == 12 and abs(i - rows.mean()) <= 1.5
+
+
+@pytest.mark.parametrize("pixels", [[], [(30, 30)], [(30, 30), (30, 31)]])
+def test_the_example_copes_with_odd_scenes(pixels: list[tuple[int, int]]) -> None:
+    batch = make_batch(1)
+    batch.scene[:] = 0
+    for pixel in pixels:
+        batch.scene[(0, *pixel)] = 0.03
+    assert isinstance(check_answer(np.asarray(example().act(batch)), batch.valid)[0], int)

@@ -1,0 +1,152 @@
+"""The contract of engines, and what the process engine survives."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from evaluator.engines import Engine, InfraError, Job, JobResult, default_workers, make_engine
+from evaluator.engines.base import load_attribute
+from evaluator.engines.child import THREAD_CAPS, call_in_child
+from evaluator.engines.inline import InlineEngine
+from evaluator.engines.process import ProcessEngine
+from evaluator.runner.plan import shards
+from rema_data.errors import InfrastructureError, InputError
+from rema_data.schema import StepOutcome
+from tests.evaluator.fakes import FAULTS, SIMULATOR, FakeSimulator, fake_jobs
+
+
+def collect(engine: Engine, jobs: list[Job]) -> dict[int, JobResult]:
+    found = [result for part in engine.map(shards(jobs)) for result in part]
+    engine.close()
+    assert sorted(result.key for result in found) == sorted(job.key for job in jobs)
+    return {result.key: result for result in found}
+
+
+def order(monkeypatch: pytest.MonkeyPatch, **faults: Any) -> None:
+    monkeypatch.setenv(FAULTS, json.dumps(faults))
+
+
+def expected(jobs: list[Job]) -> dict[int, StepOutcome]:
+    simulator = FakeSimulator()
+    return {job.key: simulator.run(job.situation, job.action) for job in jobs}
+
+
+@pytest.mark.parametrize(("name", "workers"), [("inline", 1), ("process", 1), ("process", 2), ("process", 3)])
+def test_every_engine_gives_the_same_outcomes(name: str, workers: int) -> None:
+    jobs = fake_jobs(64)
+    results = collect(make_engine(name, workers, SIMULATOR), jobs)
+    assert {key: result.outcome for key, result in results.items()} == expected(jobs)
+    assert {result.attempt for result in results.values()} == {1}
+
+
+def test_nothing_to_do() -> None:
+    assert collect(make_engine("process", 2, SIMULATOR), []) == {}
+
+
+def test_worker_that_dies_once_costs_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    order(monkeypatch, die_once=[7, 40], marks=str(tmp_path))
+    jobs = fake_jobs(60)
+    results = collect(ProcessEngine(SIMULATOR, 2), jobs)
+    monkeypatch.delenv(FAULTS)
+    assert {key: result.outcome for key, result in results.items()} == expected(jobs)
+    assert {key for key, result in results.items() if result.attempt == 2} == {7, 40}
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_poison_is_quarantined(monkeypatch: pytest.MonkeyPatch, workers: int) -> None:
+    order(monkeypatch, die=[3, 11], **{"raise": [20]})
+    results = collect(ProcessEngine(SIMULATOR, workers), fake_jobs(40))
+    lost = {key: result.outcome for key, result in results.items() if isinstance(result.outcome, InfraError)}
+    assert {key: error.reason for key, error in lost.items()} == {3: "died", 11: "died", 20: "raised"}
+    assert "SIGKILL" in lost[3].detail
+    assert "scenario 20 is odd" in lost[20].detail
+
+
+def test_hang_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
+    order(monkeypatch, hang=[5])
+    start = time.monotonic()
+    results = collect(ProcessEngine(SIMULATOR, 2, episode_limit_s=1.0), fake_jobs(30))
+    assert time.monotonic() - start < 20
+    lost = {key: result.outcome for key, result in results.items() if isinstance(result.outcome, InfraError)}
+    assert [(key, error.reason) for key, error in lost.items()] == [(5, "hung")]
+
+
+def test_worker_killed_from_outside(monkeypatch: pytest.MonkeyPatch) -> None:
+    order(monkeypatch, delay_s=0.005)
+    jobs, engine = fake_jobs(120), ProcessEngine(SIMULATOR, 2)
+    found: list[JobResult] = []
+    for part in engine.map(shards(jobs)):
+        found.extend(part)
+        if len(found) >= 20 and engine.replaced == 0:
+            victim = next(iter(engine._seats.values())).child.process
+            os.kill(victim.pid, signal.SIGKILL)
+            victim.wait()
+    engine.close()
+    assert engine.replaced == 1
+    assert sorted(result.key for result in found) == list(range(120))
+    assert {result.key: result.outcome for result in found} == expected(jobs)
+
+
+def test_leaking_worker_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+    order(monkeypatch, leak_bytes=2**20)
+    engine = ProcessEngine(SIMULATOR, 1, growth_limit_bytes=30 * 2**20)
+    results = collect(engine, fake_jobs(100))
+    assert engine.replaced >= 2
+    assert {result.attempt for result in results.values()} == {1}
+
+
+def test_no_worker_outlives_an_abandoned_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    order(monkeypatch, delay_s=0.01)
+    engine = ProcessEngine(SIMULATOR, 2)
+    running = engine.map(shards(fake_jobs(200)))
+    next(running)
+    children = psutil.Process().children(recursive=True)
+    with pytest.raises(KeyboardInterrupt):
+        running.throw(KeyboardInterrupt())  # type: ignore[attr-defined]
+    assert len(children) >= 2
+    assert not any(child.is_running() for child in children)
+
+
+def test_simulator_that_cannot_be_built(monkeypatch: pytest.MonkeyPatch) -> None:
+    order(monkeypatch, broken=True)
+    with pytest.raises(InfrastructureError, match="cannot be built"):
+        collect(ProcessEngine(SIMULATOR, 2), fake_jobs(30))
+
+
+def test_workers_are_light_capped_and_alone_in_their_group() -> None:
+    seen = call_in_child("tests.evaluator.engines.light:inside")
+    assert seen["caps"] == dict.fromkeys(THREAD_CAPS, "1")
+    assert seen["heavy"] == []
+    assert seen["group"] != os.getpgrp()
+
+
+def test_call_in_child_reports_what_went_wrong() -> None:
+    with pytest.raises(InfrastructureError, match="nothing_here"):
+        call_in_child("tests.evaluator.engines.light:nothing_here")
+
+
+def test_overhead_of_an_episode_is_small() -> None:
+    jobs, engine = fake_jobs(3000), ProcessEngine(SIMULATOR, 1)
+    running = engine.map(shards(jobs))
+    done = len(next(running))  # the worker has started
+    start = time.perf_counter()
+    simulated = sum(result.seconds for part in running for result in part)
+    spent = time.perf_counter() - start
+    engine.close()
+    assert (spent - simulated) / (3000 - done) < 1e-3  # a tenth of this, alone on a machine
+
+
+def test_names() -> None:
+    assert default_workers() >= 1
+    assert isinstance(make_engine("inline"), InlineEngine)
+    for call in (lambda: make_engine("ray"), lambda: make_engine("process", 0), lambda: load_attribute("json")):
+        with pytest.raises(InputError):
+            call()

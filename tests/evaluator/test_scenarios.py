@@ -1,0 +1,90 @@
+"""Frozen lists: exact round trips, stable bytes, and no list that is not the one in the manifest."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from evaluator.scenarios import VERSION, encode_list, load_list, manifest_path, scenario_id, update_manifest
+from rema_data.errors import InputError, IntegrityError, MissingFileError
+from rema_data.schema import TASKS
+from tests.evaluator.fakes import fake_scenario, write_fake_list
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_round_trip_is_exact(task: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_fake_list(tmp_path, task, 30)
+    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path))
+    loaded = load_list(task)
+    assert loaded.scenarios == tuple(fake_scenario(task, index) for index in range(30))
+    assert scenario_id(loaded.version, loaded.scenarios[7]) == f"v1/{task}/test/00007"
+
+
+def test_missing_tools_stay_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bare = replace(fake_scenario("grasp_push", 0), grips=())
+    payload = encode_list([bare])
+    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path))
+    manifest = manifest_path(VERSION)
+    folder = manifest.parent
+    folder.mkdir(parents=True)
+    (folder / "a.parquet").write_bytes(payload)
+    import hashlib
+
+    digest = hashlib.sha256(payload).hexdigest()
+    update_manifest(
+        manifest, VERSION, "grasp_push/test", file="a.parquet", sha256=digest, count=1, seed_domain="x"
+    )
+    assert load_list("grasp_push").scenarios == (bare,)
+
+
+def test_bytes_are_a_function_of_the_scenarios() -> None:
+    scenarios = [fake_scenario("grasp_grasp_push", index) for index in range(50)]
+    assert encode_list(scenarios) == encode_list(list(scenarios))
+
+
+def test_damage_is_noticed(fake_home: Path) -> None:
+    path = fake_home / "manifests" / "scenarios" / "v1" / "grasp_test.parquet"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(IntegrityError, match="sha256"):
+        load_list("grasp")
+
+
+def test_absence_is_said_with_a_remedy(fake_home: Path) -> None:
+    (fake_home / "manifests" / "scenarios" / "v1" / "grasp_test.parquet").unlink()
+    with pytest.raises(MissingFileError, match="git checkout"):
+        load_list("grasp")
+    with pytest.raises(InputError, match="grasp_grasp_push/test"):
+        load_list("push")
+    with pytest.raises(MissingFileError, match="v9"):
+        load_list("grasp_grasp_push", version="v9")
+
+
+def test_a_manifest_has_one_version(fake_home: Path) -> None:
+    path = fake_home / "manifests" / "scenarios" / VERSION / "manifest.json"
+    with pytest.raises(InputError, match="immutable"):
+        update_manifest(path, "v2", "push/test", file="f", sha256="0", count=1, seed_domain="x")
+    assert json.loads(path.read_text())["version"] == "v1"
+
+
+def test_lists_that_cannot_be_written() -> None:
+    with pytest.raises(InputError):
+        encode_list([])
+    with pytest.raises(InputError, match="scenario 1"):
+        encode_list([fake_scenario("grasp", 0), fake_scenario("grasp", 2)])
+    with pytest.raises(InputError, match="scenario 0"):
+        encode_list([replace(fake_scenario("grasp_push", 0), placements=())])
+
+
+def test_ten_thousand_are_read_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_fake_list(tmp_path, "grasp_push", 10_000)
+    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path))
+    load_list("grasp_push")
+    start = time.perf_counter()
+    load_list("grasp_push")
+    assert time.perf_counter() - start < 2.0  # well under half a second alone on a machine
