@@ -18,6 +18,7 @@ __all__ = ["VERBS", "cli"]
 
 VERBS: dict[str, str] = {
     "evaluate": "Score a policy on frozen scenarios.",
+    "preview": "Show one step of a scenario as a picture.",
     "leaderboard": "Compare runs in one table, beside the paper's rates.",
     "scenarios": "Draw a new version of the frozen scenario lists.",
 }

@@ -11,6 +11,7 @@ the highest body of every pixel.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from evaluator.sim.kinematics import base_of, solve
 from evaluator.sim.observation import SLAB_M
 from evaluator.sim.parameters import WORLD, WorldParameters
 from evaluator.sim.robots import FINGER_JOINTS
-from evaluator.sim.staging import Thing, hand_poses, held_things, target_thing
+from evaluator.sim.staging import HandPose, Thing, hand_poses, held_things, target_thing
 from evaluator.sim.world import World
 from rema_data.grid import EE_HALF_M, EE_PIXELS, PIXEL_M, SCENE_HALF_M, SCENE_PIXELS, pixel_centres
 from rema_data.schema import HEIGHT_STEP_M, Embodiment, Situation
@@ -38,6 +39,7 @@ CAPTURE_HEIGHT_M = 0.35
 BAND_M = 0.0006
 """A map row (or column) takes part of a footprint's outline from the points this near to its centre line: about the
 distance between two points of the cloud."""
+_BODY_BITS = (1 << 24) - 1
 
 
 class Camera(NamedTuple):
@@ -77,12 +79,12 @@ def end_effector_cameras(centre: tuple[float, float, float]) -> list[Camera]:
             centre[1] + DISTANCE_M * math.cos(elevation) * math.sin(azimuth),
             centre[2] + DISTANCE_M * math.sin(elevation),
         )
-        cameras.append(Camera(eye, centre, (0.0, 0.0, 1.0), 40.0, 640, 0.3, 1.4))
+        cameras.append(Camera(eye, centre, (0.0, 0.0, 1.0), 40.0, 1024, 0.3, 1.4))
     return cameras
 
 
-def point_cloud(client: Any, camera: Camera) -> Cloud:
-    """Everything that a camera sees.
+def point_cloud(client: Any, camera: Camera, bodies: Collection[int]) -> Cloud:
+    """What a camera sees of some bodies; the others hide what is behind them, and are left out.
 
     Notes
     -----
@@ -102,7 +104,8 @@ def point_cloud(client: Any, camera: Camera) -> Cloud:
         renderer=pybullet.ER_TINY_RENDERER,
     )
     label = np.asarray(segments).reshape(size, size)
-    row, column = np.nonzero(label >= 0)
+    # the background is -1, which is no body
+    row, column = np.nonzero(np.isin(np.where(label < 0, -1, label & _BODY_BITS), list(bodies)))
     label = label[row, column]
     buffer = np.asarray(depth, np.float64).reshape(size, size)[row, column]
     near, far = camera.near_m, camera.far_m
@@ -112,7 +115,7 @@ def point_cloud(client: Any, camera: Camera) -> Cloud:
     seen = np.stack([x, y, -distance], axis=1)
     matrix = np.asarray(view).reshape(4, 4).T
     points = (seen - matrix[:3, 3]) @ matrix[:3, :3]
-    return Cloud(points, label & ((1 << 24) - 1), (label >> 24) - 1)
+    return Cloud(points, label & _BODY_BITS, (label >> 24) - 1)
 
 
 def capture_scene(situation: Situation, parameters: WorldParameters = WORLD) -> npt.NDArray[np.uint16]:
@@ -131,10 +134,10 @@ def capture_scene(situation: Situation, parameters: WorldParameters = WORLD) -> 
     world = World((), parameters)
     try:
         body = _place(world, target_thing(situation))
-        cloud = point_cloud(world.client, scene_camera())
+        cloud = point_cloud(world.client, scene_camera(), [body])
     finally:
         world.close()
-    covered, height = _footprint(cloud.points[cloud.body == body], SCENE_PIXELS, SCENE_HALF_M)
+    covered, height = _footprint(cloud.points, SCENE_PIXELS, SCENE_HALF_M)
     return np.where(covered, _quantised(height), 0).astype(np.uint16)
 
 
@@ -162,17 +165,20 @@ def capture_end_effector(
     two_arms = situation.kind.embodiment.two_arms
     world = World(("left", "right") if two_arms else ("left",), parameters)
     try:
-        for state in range(2):
-            depth[state], mask[state] = _capture_state(world, situation, yaw_rad, closed=state == 1)
+        pose = (0.0, 0.0, yaw_rad)
+        states = [hand_poses(situation, pose, CAPTURE_HEIGHT_M, closed=end, p=parameters) for end in (False, True)]
+        for number, hands in enumerate(states):
+            if number == 0 or hands != states[0]:  # else nothing closes
+                depth[number:], mask[number:] = _capture_state(world, situation, hands, pose)
     finally:
         world.close()
     return depth, mask
 
 
-def _capture_state(world: World, situation: Situation, yaw_rad: float, closed: bool) -> tuple[Array, Array]:
+def _capture_state(
+    world: World, situation: Situation, hands: list[HandPose], pose: tuple[float, float, float]
+) -> tuple[Array, Array]:
     world.begin()
-    pose = (0.0, 0.0, yaw_rad)
-    hands = hand_poses(situation, pose, CAPTURE_HEIGHT_M, closed=closed, p=world.parameters)
     for hand in hands:
         base = base_of(hand.arm, world.parameters)
         joints = solve(base, hand.x_m, hand.y_m, hand.z_m, hand.yaw_rad, world.parameters)
@@ -191,23 +197,22 @@ def _capture_state(world: World, situation: Situation, yaw_rad: float, closed: b
 
 def _fuse(world: World, wanted: set[int], allowed: set[tuple[int, int]]) -> tuple[Array, Array]:
     """Depth and mask of some bodies from the clouds of all four cameras."""
-    clouds = [point_cloud(world.client, camera) for camera in end_effector_cameras((0.0, 0.0, CAPTURE_HEIGHT_M))]
+    cameras = end_effector_cameras((0.0, 0.0, CAPTURE_HEIGHT_M))
+    clouds = [point_cloud(world.client, camera, wanted) for camera in cameras]
     points = np.concatenate([cloud.points for cloud in clouds])
     body, link = (np.concatenate([cloud[n] for cloud in clouds]) for n in (1, 2))
-    pieces = [piece for piece in sorted(set(zip(body.tolist(), link.tolist(), strict=True))) if piece[0] in wanted]
+    pieces = sorted(set(zip(body.tolist(), link.tolist(), strict=True)))
     members = {piece: points[(body == piece[0]) & (link == piece[1])] for piece in pieces}
     floor = min(members[piece][:, 2].min() for piece in pieces if piece in allowed)
     depth = np.zeros((EE_PIXELS, EE_PIXELS), np.uint16)
     top = np.zeros((EE_PIXELS, EE_PIXELS), np.uint16)
     for piece in pieces:
         above = members[piece] - [0.0, 0.0, floor]
-        higher = above[:, 2].max() > SLAB_M
-        above = above[above[:, 2] < SLAB_M + HEIGHT_STEP_M / 2]
-        if len(above) == 0:
+        if above[:, 2].min() >= SLAB_M:
             continue
+        # what passes through the slab's ceiling is solid up to there: all its points count, cut at the ceiling
+        above[:, 2] = np.minimum(above[:, 2], SLAB_M)
         covered, height = _footprint(above, EE_PIXELS, EE_HALF_M)
-        if higher:  # what the slab cuts is solid there
-            height[:] = SLAB_M
         values = np.where(covered, _quantised(height), 0).astype(np.uint16)
         np.maximum(depth, values, out=depth)
         if piece in allowed:
@@ -219,8 +224,7 @@ def _footprint(points: Array, pixels: int, half_m: float) -> tuple[Array, Array]
     """Footprint and height of one body from its points.
 
     A pixel belongs to the footprint if the body has points on all four sides of its centre, in its row and in its
-    column: that also fills what no camera sees, such as the inside of a finger that the slab cuts, but not the inner
-    corner of an L or a T.
+    column: that also fills what is hidden from every camera, but not the inner corner of an L or a T.
 
     Returns
     -------

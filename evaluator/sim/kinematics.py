@@ -111,3 +111,42 @@ def solve_path(
 def within_limits(joints: Array, parameters: WorldParameters = WORLD) -> Array:
     """Whether every joint of (..., 7) is within its limits (NaN is not), bool (...)."""
     return np.asarray((np.abs(joints) <= joint_limits(parameters)).all(axis=-1))
+
+
+def joint_points(base: Base, joints: Array, parameters: WorldParameters = WORLD) -> Array:
+    """Shoulder, elbow, wrist and flange of an arm, float64 (4, ..., 3), world frame, metres.
+
+    Parameters
+    ----------
+    base : Base
+    joints : float64 (..., 7)
+        As ``solve`` gives them: joints 3 and 5 at zero, the hand pointing down.
+    """
+    heading = joints[..., 0] + base.yaw_rad
+    lean = joints[..., 1]
+    radii = [np.zeros_like(lean), UPPER_M * np.sin(lean)]
+    heights = [np.full_like(lean, base.z_m + SHOULDER_M), base.z_m + SHOULDER_M + UPPER_M * np.cos(lean)]
+    reach = lean - joints[..., 3]
+    radii.append(radii[1] + LOWER_M * np.sin(reach))
+    heights.append(heights[1] + LOWER_M * np.cos(reach))
+    radii.append(radii[2])
+    heights.append(heights[2] - WRIST_M)
+    return np.stack(
+        [
+            np.stack([base.x_m + r * np.cos(heading), base.y_m + r * np.sin(heading), h], axis=-1)
+            for r, h in zip(radii, heights, strict=True)
+        ]
+    )
+
+
+def segment_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
+    """Smallest distance between segments a and b, float64 (...,), for end points (..., 3)."""
+    u, v, w = a1 - a0, b1 - b0, a0 - b0
+    uu, uv, vv = (u * u).sum(-1), (u * v).sum(-1), (v * v).sum(-1)
+    uw, vw = (u * w).sum(-1), (v * w).sum(-1)
+    denominator = uu * vv - uv * uv
+    safe = np.where(denominator > 1e-12, denominator, 1.0)
+    s = np.clip(np.where(denominator > 1e-12, (uv * vw - vv * uw) / safe, 0.0), 0, 1)
+    t = np.clip((uv * s + vw) / vv, 0, 1)
+    s = np.clip((uv * t - uw) / uu, 0, 1)
+    return np.asarray(np.linalg.norm(w + s[..., None] * u - t[..., None] * v, axis=-1))

@@ -37,9 +37,12 @@ class WorldParameters:
     finger_lateral_m: float = 0.02
     finger_thickness_m: float = 0.010
     finger_length_m: float = 0.057
+    finger_mass_kg: float = 0.10
     opening_max_m: float = 0.110
     finger_force_n: float = 30.0  # each
     finger_speed_m_s: float = 0.15
+    finger_still_m_s: float = 0.01  # jaws slower than this have closed
+    empty_opening_m: float = 0.002  # jaws closed this far hold nothing
     gear_erp: float = 0.2
     gear_force_n: float = 1000.0
 
@@ -53,8 +56,8 @@ class WorldParameters:
     density_kg_m3: float = 500.0
 
     # Sticks of the two-arm tasks are longer, so that the wrists of two arms side by side keep clear of each other
-    stick_length_min_m: float = 0.17
-    stick_length_max_m: float = 0.20
+    stick_length_min_m: float = 0.18
+    stick_length_max_m: float = 0.205
     stick_width_min_m: float = 0.020
     stick_width_max_m: float = 0.035
 
@@ -85,17 +88,23 @@ class WorldParameters:
     lift_height_m: float = 0.30  # (paper) of a single hand
     push_distance_m: float = 0.30  # (paper)
     scripted_push_offset_m: float = 0.095
+    lost_steps: int = 12  # without contact: a lifted object is lost for good
+    slip_lift_m: float = 0.01  # an object lost above this height slipped, below it was not lifted
     hold_steps: int = 60
     grip_settle_steps: int = 12  # after a held tool is put back into a hand
-    settle_steps: int = 120
+    settle_steps: int = 120  # at most
+    rest_speed_m_s: float = 0.005
 
     # Two-stick pincer
-    pair_open_m: float = 0.042  # from the pair's origin to each stick's tip, open
+    pair_open_m: float = 0.039  # from the pair's origin to each stick's tip, open
+    pair_empty_m: float = 0.005  # likewise, where a closing has met nothing and stops: wrists must not meet
+    pair_contact_n: float = 5.0  # both sticks feel the target
+    pair_squeeze_steps: int = 40  # between contact and lift
+    pair_lost_steps: int = 48
     pair_closing_speed_m_s: float = 0.12  # each arm
     pair_squeeze_n: float = 20.0
     pair_gain_m_per_n: float = 2e-5  # integrator of the squeeze, per control tick
     pair_max_correction_m: float = 5e-4  # per control tick
-    pair_control_every: int = 4  # simulation steps between two control ticks
     pair_clearance_m: float = 0.006
     pair_lift_height_m: float = 0.12  # as high as both arms reach together (see joint4_limit_rad)
     pair_lift_speed_m_s: float = 0.35

@@ -1,7 +1,7 @@
 """Which actions the arms can carry out: computed once from kinematics, the same for every policy.
 
-One arm acts in single-arm steps: the left one wherever it can, else the right one. Both arms reach or none does in
-two-arm steps, whose angles are 0..7.
+One arm acts in single-arm steps: the left one wherever it can, else the right one (the second stick of a pair is the
+right arm's). Both arms reach or none does in two-arm steps, whose angles are 0..7.
 """
 
 from __future__ import annotations
@@ -102,10 +102,16 @@ def valid_actions(task: str, step: int) -> Array:
     return valid
 
 
-def acting_arm(kind: StepKind, action: int, parameters: WorldParameters = WORLD) -> str | None:
-    """``left``, ``right`` or ``both`` for an action, or None where it is out of reach."""
+def acting_arm(task: str, step: int, action: int, parameters: WorldParameters = WORLD) -> str | None:
+    """``left``, ``right`` or ``both`` for an action at a step of a task, or None where it is out of reach.
+
+    The second stick of a two-arm task is the right arm's to pick; everything else the left arm does where it can.
+    """
+    kind = TASKS[task][step]
     i, j, k = grid.decode(action)
     left, right = reachable(kind, parameters)[:, i, j, k]
     if kind.embodiment.two_arms:
         return "both" if left and right else None
-    return "left" if left else "right" if right else None
+    second_stick = step == 1 and kind.primitive is Primitive.GRASP
+    order = (("right", right), ("left", left)) if second_stick else (("left", left), ("right", right))
+    return next((arm for arm, ok in order if ok), None)

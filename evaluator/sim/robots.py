@@ -40,7 +40,6 @@ _LINKS = (
 PALM_SIZE_M = (0.050, 0.146, 0.0725)
 FLANGE_M = 0.045
 """From the frame of link 7 to the mounting face of the gripper."""
-FINGER_MASS_KG = 0.10
 
 
 def urdf(parameters: WorldParameters = WORLD, meshes: str | None = None) -> str:
@@ -78,7 +77,7 @@ def urdf(parameters: WorldParameters = WORLD, meshes: str | None = None) -> str:
     for name, sign in (("finger1", -1), ("finger2", 1)):
         centre = f"0 {sign * parameters.finger_thickness_m / 2} 0"
         parts.append(
-            f'<link name="{name}"><inertial><origin xyz="{centre}"/><mass value="{FINGER_MASS_KG}"/>'
+            f'<link name="{name}"><inertial><origin xyz="{centre}"/><mass value="{parameters.finger_mass_kg}"/>'
             f'<inertia ixx="5e-5" ixy="0" ixz="0" iyy="5e-5" iyz="0" izz="2e-5"/></inertial>'
             f"{_box('collision', centre, size)}{_box('visual', centre, size, '0.25 0.25 0.28 1')}</link>"
             f'<joint name="{name}_joint" type="prismatic"><parent link="link7"/><child link="{name}"/>'

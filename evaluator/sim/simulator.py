@@ -41,7 +41,7 @@ class Simulator:
         action : int
             Grid index, 0..65535.
         """
-        arm = acting_arm(situation.kind, action, self.parameters)
+        arm = acting_arm(situation.task, situation.step, action, self.parameters)
         if arm is None:
             return StepOutcome(False, Failure.UNREACHABLE)
         x, y, theta = (float(value) for value in grid.to_world(action))
@@ -98,8 +98,10 @@ class Simulator:
                 push.push(attempt, (x, y, yaw))
         except Ended as ended:
             failure = ended.failure
+        try:
+            world.check(body)
         except Unstable:
-            failure = Failure.UNSTABLE
+            failure, grip, pinch = Failure.UNSTABLE, None, None
         evidence: dict[str, Any] = {
             name: getattr(attempt.evidence, name)
             for name in ("displacement_m", "lift_m", "peak_force_n", "contact_steps", "illegal_steps")

@@ -1,7 +1,9 @@
 """One PyBullet world: arms, a table, and the objects of one step.
 
-Everything here is rebuilt or reset at the start of each step, in a fixed order, so that what follows is a pure function
-of what is placed: joints, motors, objects. Saved Bullet states are never used (they carry contact history).
+The whole world is rebuilt at the start of each step, in a fixed order, so that what follows is a pure function of what
+is placed: joints, motors, objects. Anything less leaks history: with only the objects replaced, the order of Bullet's
+collision pairs depends on what was there before, and about one outcome in a hundred differs in its last bits. Without
+meshes a rebuild costs under a millisecond.
 """
 
 from __future__ import annotations
@@ -23,12 +25,21 @@ from rema_data.schema import ObjectSpec
 
 Array = npt.NDArray[Any]
 
-REBUILD_EVERY = 500
-"""Steps between two full rebuilds: Bullet frees collision shapes only on a reset. Does not change any outcome."""
-
 
 class Unstable(Exception):
     """The physics left its range of validity; caught by the simulator, which labels the step."""
+
+
+class Client:
+    """A DIRECT PyBullet connection: PyBullet's functions as methods, bound once to this connection."""
+
+    def __init__(self) -> None:
+        self.number: int = pybullet.connect(pybullet.DIRECT)
+
+    def __getattr__(self, name: str) -> Any:
+        bound = partial(getattr(pybullet, name), physicsClientId=self.number)
+        setattr(self, name, bound)
+        return bound
 
 
 class Arm:
@@ -63,8 +74,7 @@ class Arm:
                 rollingFriction=0.0,
                 frictionAnchor=1,
             )
-        for link in range(-1, 9):
-            self._p.changeDynamics(self.body, link, linearDamping=0.0, angularDamping=0.0)
+        self._p.changeDynamics(self.body, -1, linearDamping=0.0, angularDamping=0.0)
         gear = self._p.createConstraint(
             self.body,
             robots.FINGER_JOINTS[0],
@@ -145,19 +155,16 @@ class World:
     """
 
     def __init__(self, arms: Sequence[str], parameters: WorldParameters = WORLD, meshes: str | None = None) -> None:
-        from pybullet_utils.bullet_client import BulletClient
-
         self.parameters, self.meshes = parameters, meshes
-        self.client: Any = BulletClient(connection_mode=pybullet.DIRECT)
+        self.client = Client()
         self._names = tuple(arms)
-        self._age = 0
-        self._objects: list[int] = []
-        self.steps = 0
-        self._step = partial(pybullet.stepSimulation, physicsClientId=self.client._client)
-        self._rebuild()
+        self._step = self.client.stepSimulation
+        self.begin()
 
-    def _rebuild(self) -> None:
+    def begin(self) -> None:
+        """Build everything anew: an empty table, the arms at rest; the caller resets the arms it uses."""
         p, parameters = self.client, self.parameters
+        self.steps = 0
         p.resetSimulation()
         p.setGravity(0, 0, parameters.gravity_m_s2)
         p.setPhysicsEngineParameter(
@@ -166,20 +173,11 @@ class World:
             deterministicOverlappingPairs=1,
         )
         plane = p.createCollisionShape(pybullet.GEOM_PLANE, planeNormal=[0, 0, 1])
-        self.table: int = p.createMultiBody(0, plane)
+        # any visual shape keeps Bullet from tessellating the plane for its renderer, which takes longer than the rest
+        mark = p.createVisualShape(pybullet.GEOM_BOX, halfExtents=[0.01, 0.01, 0.0001])
+        self.table: int = p.createMultiBody(0, plane, mark)
         p.changeDynamics(self.table, -1, lateralFriction=parameters.table_friction)
         self.arms = {name: Arm(self, name) for name in self._names}
-        self._objects.clear()
-        self._age = 0
-
-    def begin(self) -> None:
-        """Empty the table; the arms are to be reset by the caller before the first step."""
-        self._age += 1
-        if self._age > REBUILD_EVERY:
-            self._rebuild()
-        while self._objects:
-            self.client.removeBody(self._objects.pop())
-        self.steps = 0
 
     def place(self, spec: ObjectSpec, x_m: float, y_m: float, z_m: float, yaw_rad: float) -> int:
         """Put an object's centre of mass at a pose, at rest; returns its body id."""
@@ -208,8 +206,12 @@ class World:
             mass=mass,  # an inertia without its mass gives NaN for a body in maximal coordinates
             localInertiaDiagonal=inertia_kg_m2(spec, parameters.density_kg_m3),
         )
-        self._objects.append(body)
         return body
+
+    @property
+    def objects(self) -> tuple[int, ...]:
+        """Bodies of the objects, in the order in which they were placed."""
+        return tuple(self._objects)
 
     def step(self, count: int = 1) -> None:
         """Advance the simulation by ``count`` steps."""

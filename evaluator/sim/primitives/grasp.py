@@ -52,7 +52,7 @@ def grasp(attempt: Attempt, pose: tuple[float, float, float]) -> Grip | None:
         hand.arm.reset(up.positions[0], opening)
 
     close(attempt)
-    if hand.arm.fingers()[0] < 0.002:
+    if hand.arm.fingers()[0] < p.empty_opening_m:
         raise Ended(Failure.NOT_LIFTED if attempt.evidence.contact_steps else Failure.MISSED)
 
     rest_z = world.pose(attempt.target)[2]
@@ -63,10 +63,9 @@ def grasp(attempt: Attempt, pose: tuple[float, float, float]) -> Grip | None:
         if row % (POLL_EVERY // p.control_every) == 0:
             attempt.evidence.lift_m = max(attempt.evidence.lift_m, world.pose(attempt.target)[2] - rest_z)
             lost = 0 if attempt.touched() else lost + 1
-            if lost == 3:  # out of a rising hand's reach for good
+            if lost * POLL_EVERY == p.lost_steps:  # out of a rising hand's reach for good
                 raise _dropped(attempt)
     attempt.step(p.hold_steps)
-    world.check(attempt.target)
     height = world.pose(attempt.target)[2] - rest_z
     attempt.evidence.lift_m = max(attempt.evidence.lift_m, height)
     if height < p.grasp_success_lift_m or not attempt.touched():
@@ -88,10 +87,10 @@ def close(attempt: Attempt) -> None:
     for _ in range(longest // POLL_EVERY):
         attempt.step(POLL_EVERY)
         attempt.touched()
-        still = still + 1 if hand.arm.fingers()[1] < 0.01 else 0
+        still = still + 1 if hand.arm.fingers()[1] < p.finger_still_m_s else 0
         if still == 3:
             return
 
 
 def _dropped(attempt: Attempt) -> Ended:
-    return Ended(Failure.SLIPPED if attempt.evidence.lift_m > 0.01 else Failure.NOT_LIFTED)
+    return Ended(Failure.SLIPPED if attempt.evidence.lift_m > attempt.parameters.slip_lift_m else Failure.NOT_LIFTED)

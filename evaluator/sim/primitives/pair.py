@@ -23,8 +23,6 @@ from rema_data.schema import Failure
 Array = npt.NDArray[Any]
 
 _PROBE_M = 1e-3
-LOST_TICKS = 24
-"""Control ticks without contact after which a carried body counts as lost."""
 
 
 @dataclass(slots=True)
@@ -139,13 +137,14 @@ class Squeeze:
         self, attempt: Attempt, path: PairPath, lost: Failure, after_tick: Callable[[], object] | None = None
     ) -> None:
         """Follow a path while squeezing; ends the attempt with ``lost`` once a stick has lost the body for good."""
+        p = attempt.parameters
         misses = 0
         for row in range(1, path.positions.shape[1]):
             weaker = self.correct(attempt)
             command(attempt, path, row, self.inwards_m)
-            attempt.step(attempt.parameters.control_every)
+            attempt.step(p.control_every)
             misses = misses + 1 if weaker <= 0.0 else 0
-            if misses == LOST_TICKS:
+            if misses * p.control_every == p.pair_lost_steps:
                 raise Ended(lost)
             if after_tick is not None:
                 after_tick()

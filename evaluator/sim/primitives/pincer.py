@@ -17,19 +17,12 @@ from evaluator.sim.primitives.push import CLEAR_TOOL_M
 from evaluator.sim.shapes import footprint
 from rema_data.schema import Failure, Pinch, Situation
 
-OVERLAP_M = 0.004
-"""How far the tips would pass each other before a closing counts as empty."""
-CONTACT_N = 5.0
-"""Both sticks feel the target."""
-SQUEEZE_STEPS = 40
-"""Simulation steps of squeezing before the lift."""
-
 
 def can_touch(situation: Situation, pose: tuple[float, float, float], parameters: WorldParameters) -> bool:
     """Whether the sticks or hands could touch the target anywhere while they close."""
     left, right = inner_extents(situation.grips)
     opened = (parameters.pair_open_m + left, parameters.pair_open_m + right)
-    way = parameters.pair_open_m + OVERLAP_M
+    way = parameters.pair_open_m - parameters.pair_empty_m
     covered = []
     for side, rects in zip((-1.0, 1.0), hand_footprints(situation.grips, opened, parameters), strict=True):
         for rect in rects:
@@ -57,7 +50,7 @@ def pincer(attempt: Attempt, pose: tuple[float, float, float]) -> Pinch | None:
     tick = p.time_step_s * p.control_every
 
     # Closing: each row brings the tips one tick nearer
-    travel = np.arange(0.0, p.pair_open_m + OVERLAP_M, p.pair_closing_speed_m_s * tick)
+    travel = np.arange(0.0, p.pair_open_m - p.pair_empty_m, p.pair_closing_speed_m_s * tick)
     here = np.tile([x, y, 0.0], (len(travel), 1))
     closing = pair_path(attempt, here, theta, (opened[0] - travel, opened[1] - travel), heights)
     lift = profile(p.pair_lift_height_m, p.pair_lift_speed_m_s, tick, p.ramp_share)
@@ -69,7 +62,7 @@ def pincer(attempt: Attempt, pose: tuple[float, float, float]) -> Pinch | None:
         start = attempt.situation.target.spec.height_m + p.approach_clearance_m - p.pair_clearance_m
     down = lower(attempt, pose, start, closing, opened, heights)
     attempt.allowed = tuple(hand.tool for hand in attempt.hands if hand.tool is not None)
-    attempt.world.step(p.grip_settle_steps)
+    attempt.step(p.grip_settle_steps)
     if down is not None:
         attempt.descend(down.of_each_hand())
 
@@ -80,7 +73,7 @@ def pincer(attempt: Attempt, pose: tuple[float, float, float]) -> Pinch | None:
         attempt.step(p.control_every)
         left, right = squeeze.forces(attempt)
         attempt.evidence.contact_steps += left > 0 or right > 0
-        if min(left, right) >= CONTACT_N:
+        if min(left, right) >= p.pair_contact_n:
             contact = row
             break
     if contact is None:
@@ -88,7 +81,7 @@ def pincer(attempt: Attempt, pose: tuple[float, float, float]) -> Pinch | None:
 
     distances = (opened[0] - travel[contact], opened[1] - travel[contact])
     up = pair_path(attempt, rise, theta, distances, heights)
-    squeeze.hold(attempt, up, 0, SQUEEZE_STEPS)
+    squeeze.hold(attempt, up, 0, p.pair_squeeze_steps)
     rest_z = attempt.situation.target.spec.height_m / 2
 
     def watch() -> None:
@@ -98,15 +91,14 @@ def pincer(attempt: Attempt, pose: tuple[float, float, float]) -> Pinch | None:
         squeeze.carry(attempt, up, Failure.NOT_LIFTED, watch)
         squeeze.hold(attempt, up, len(lift) - 1, p.hold_steps)
     except Ended as ended:
-        if ended.failure is Failure.NOT_LIFTED and attempt.evidence.lift_m > 0.01:
+        if ended.failure is Failure.NOT_LIFTED and attempt.evidence.lift_m > p.slip_lift_m:
             raise Ended(Failure.SLIPPED) from None
         raise
-    world.check(attempt.target)
     height = world.pose(attempt.target)[2] - rest_z
     if not attempt.tools_held():
         raise Ended(Failure.TOOL_LOST)
     if height < p.pair_success_lift_m or min(squeeze.forces(attempt)) <= 0:
-        raise Ended(Failure.SLIPPED if attempt.evidence.lift_m > 0.01 else Failure.NOT_LIFTED)
+        raise Ended(Failure.SLIPPED if attempt.evidence.lift_m > p.slip_lift_m else Failure.NOT_LIFTED)
     if attempt.situation.last:
         return None
     if world.tilt(attempt.target) > p.max_tool_tilt_rad:

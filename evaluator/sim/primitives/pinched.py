@@ -13,7 +13,7 @@ from evaluator.sim.parameters import WorldParameters
 from evaluator.sim.planar import gap
 from evaluator.sim.primitives.grasp import CLEAR_M
 from evaluator.sim.primitives.pair import PairPath, Squeeze, lower, pair_path
-from evaluator.sim.primitives.pincer import SQUEEZE_STEPS, pair_frame
+from evaluator.sim.primitives.pincer import pair_frame
 from evaluator.sim.primitives.push import CLEAR_TOOL_M, POLL_EVERY, judge, settle, swept
 from evaluator.sim.shapes import footprint
 from rema_data.schema import Failure, Situation
@@ -55,7 +55,7 @@ def push_pinched(attempt: Attempt, pose: tuple[float, float, float]) -> None:
     sticks = tuple(hand.tool for hand in attempt.hands if hand.tool is not None)
     attempt.allowed, attempt.forbidden = (held,), (*attempt.forbidden, *sticks)
     squeeze = Squeeze(held, p.pair_max_correction_m)
-    if squeeze.hold(attempt, path, 0, SQUEEZE_STEPS) <= 0:
+    if squeeze.hold(attempt, path, 0, p.pair_squeeze_steps) <= 0:
         raise Ended(Failure.TOOL_LOST)
     if down is not None:
         _descend_squeezing(attempt, down, squeeze)

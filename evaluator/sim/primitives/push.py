@@ -14,7 +14,6 @@ from evaluator.sim.shapes import footprint
 from rema_data.schema import Failure, Grip, Situation
 
 POLL_EVERY = 4
-REST_SPEED_M_S = 0.005
 CLEAR_TOOL_M = 0.005
 """As ``CLEAR_M``, for a held tool, which may shift a little in the hand before it touches anything."""
 
@@ -97,7 +96,7 @@ def take_tool(attempt: Attempt, pose: tuple[float, float, float], height_m: floa
         )
         attempt.allowed = (hand.tool,)
         hand.arm.close_fingers()
-        world.step(p.grip_settle_steps)
+        attempt.step(p.grip_settle_steps)
         if not attempt.tools_held():
             raise Ended(Failure.TOOL_LOST)
 
@@ -105,7 +104,7 @@ def take_tool(attempt: Attempt, pose: tuple[float, float, float], height_m: floa
 def settle(attempt: Attempt) -> None:
     """Wait, a bounded number of steps, until the target is at rest."""
     for _ in range(attempt.parameters.settle_steps // POLL_EVERY):
-        if attempt.world.speed(attempt.target) < REST_SPEED_M_S:
+        if attempt.world.speed(attempt.target) < attempt.parameters.rest_speed_m_s:
             return
         attempt.step(POLL_EVERY)
 
@@ -113,7 +112,6 @@ def settle(attempt: Attempt) -> None:
 def judge(attempt: Attempt, start_x_m: float) -> None:
     """Success is a displacement of at least 10 cm in +x, at the end, with every tool still in hand."""
     p, world, evidence = attempt.parameters, attempt.world, attempt.evidence
-    world.check(attempt.target)
     evidence.displacement_m = world.pose(attempt.target)[0] - start_x_m
     if not attempt.tools_held():
         raise Ended(Failure.TOOL_LOST)

@@ -1,0 +1,263 @@
+"""Photographs of a step: both arms with their meshes, the objects in colours, the table. Nothing moves here.
+
+The studio is a Bullet client of its own, without physics: it shows poses that were simulated (or staged) elsewhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import pybullet
+
+from evaluator.sim import robots
+from evaluator.sim.kinematics import base_of, solve, solve_path
+from evaluator.sim.parameters import WORLD, WorldParameters
+from evaluator.sim.shapes import boxes
+from evaluator.sim.staging import HandPose, Thing
+from evaluator.sim.world import World
+from rema_data.schema import ObjectSpec
+
+__all__ = ["COLOURS", "Body", "Marker", "Shot", "Studio", "shot_of_stage", "shot_of_world"]
+
+Array = npt.NDArray[Any]
+Colour = tuple[float, float, float, float]
+
+COLOURS: dict[str, Colour] = {
+    "target": (0.84, 0.18, 0.16, 1.0),
+    "tool": (0.16, 0.42, 0.78, 1.0),
+    "held": (0.55, 0.24, 0.72, 1.0),
+}
+"""Of an object, by what it is to the step."""
+_TABLE: Colour = (0.80, 0.76, 0.70, 1.0)
+_SHADE: Colour = (0.66, 0.62, 0.56, 1.0)
+_COLUMN: Colour = (0.34, 0.36, 0.40, 1.0)
+_CARRIAGE: Colour = (0.45, 0.46, 0.50, 1.0)
+_IDLE = (-0.22, 0.22, 0.42)
+"""Where the hand of an arm that does not act waits: x, distance from the middle towards its base, z (m)."""
+
+
+class Body(NamedTuple):
+    """An object as it is to be shown: role (see ``Thing``), shape, and pose of its centre of mass in the world."""
+
+    role: str
+    spec: ObjectSpec
+    position: tuple[float, float, float]
+    quaternion: tuple[float, float, float, float]
+
+
+class Marker(NamedTuple):
+    """A thin coloured bar on the table: centre, half extents (m) and yaw (rad)."""
+
+    x_m: float
+    y_m: float
+    half_x_m: float
+    half_y_m: float
+    yaw_rad: float
+    colour: Colour
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """What a picture shows.
+
+    Attributes
+    ----------
+    joints : mapping of str to float64 (9,)
+        Seven arm joints (rad) and two fingers (m) of each acting arm.
+    bodies : sequence of Body
+    """
+
+    joints: Mapping[str, Array]
+    bodies: Sequence[Body]
+
+
+def shot_of_world(world: World, roles: Sequence[tuple[str, ObjectSpec]]) -> Shot:
+    """The present state of a simulated world.
+
+    Parameters
+    ----------
+    world : World
+    roles : sequence of (role, spec)
+        Of its objects, in the order in which they were placed.
+    """
+    every = (*robots.ARM_JOINTS, *robots.FINGER_JOINTS)
+    joints = {
+        name: np.array([state[0] for state in world.client.getJointStates(arm.body, every)])
+        for name, arm in world.arms.items()
+    }
+    bodies = []
+    for (role, spec), body in zip(roles, world.objects, strict=False):
+        position, quaternion = world.client.getBasePositionAndOrientation(body)
+        bodies.append(Body(role, spec, position, quaternion))
+    return Shot(joints, bodies)
+
+
+def shot_of_stage(
+    hands: Sequence[HandPose], things: Sequence[Thing], symmetric: bool, parameters: WorldParameters = WORLD
+) -> Shot:
+    """Hands and things at poses that were not simulated; ``symmetric`` as in ``kinematics.solve_path``."""
+    joints = {}
+    for hand in hands:
+        base = base_of(hand.arm, parameters)
+        x, y, z, yaw = (np.array([value]) for value in (hand.x_m, hand.y_m, hand.z_m, hand.yaw_rad))
+        arm = solve_path(base, x, y, z, yaw, symmetric, parameters)[0]
+        joints[hand.arm] = np.append(arm, [hand.opening_m / 2] * 2)
+    bodies = [
+        Body(
+            thing.role,
+            thing.spec,
+            (thing.x_m, thing.y_m, thing.z_m),
+            (0.0, 0.0, math.sin(thing.yaw_rad / 2), math.cos(thing.yaw_rad / 2)),
+        )
+        for thing in things
+    ]
+    return Shot(joints, bodies)
+
+
+class Studio:
+    """Two arms at a table, to be posed and photographed.
+
+    Parameters
+    ----------
+    meshes : str
+        pybullet_data folder.
+    parameters : WorldParameters
+    """
+
+    def __init__(self, meshes: str, parameters: WorldParameters = WORLD) -> None:
+        self._p = parameters
+        self._world = World(("left", "right"), parameters, meshes)
+        self._client = self._world.client
+        self._extras: list[int] = []
+        client = self._client
+        client.removeBody(self._world.table)
+        self._box((0.20, 0.0, -0.02), (0.62, 0.66, 0.02), _TABLE)
+        for name in self._world.arms:
+            base = base_of(name, parameters)
+            self._box((base.x_m, base.y_m, base.z_m / 2), (0.10, 0.10, base.z_m / 2), _COLUMN)
+
+    def close(self) -> None:
+        """Disconnect from Bullet."""
+        self._world.close()
+
+    def photograph(
+        self,
+        shot: Shot,
+        markers: Sequence[Marker] = (),
+        size: tuple[int, int] = (640, 480),
+        eye: tuple[float, float, float] = (1.62, -0.48, 1.06),
+        aim: tuple[float, float, float] = (0.07, 0.0, 0.21),
+        fov_deg: float = 31.0,
+    ) -> npt.NDArray[np.uint8]:
+        """One picture.
+
+        Parameters
+        ----------
+        shot : Shot
+        markers : sequence of Marker
+        size : (width, height)
+            Pixels.
+        eye, aim : (x, y, z)
+            Of the camera, metres.
+        fov_deg : float
+            Vertical field of view.
+
+        Returns
+        -------
+        uint8 (height, width, 3)
+        """
+        while self._extras:
+            self._client.removeBody(self._extras.pop())
+        for name in self._world.arms:
+            self._pose_arm(name, shot.joints.get(name))
+        for body in shot.bodies:
+            self._extras += [self._show(body), self._shade(body)]
+        for marker in markers:
+            half = marker.yaw_rad / 2
+            self._extras.append(
+                self._box(
+                    (marker.x_m, marker.y_m, 0.0008),
+                    (marker.half_x_m, marker.half_y_m, 0.0008),
+                    marker.colour,
+                    (0.0, 0.0, math.sin(half), math.cos(half)),
+                )
+            )
+        width, height = size
+        client = self._client
+        view = client.computeViewMatrix(eye, aim, (0, 0, 1))
+        projection = client.computeProjectionMatrixFOV(fov_deg, width / height, 0.3, 4.0)
+        _, _, colour, _, segments = client.getCameraImage(
+            width,
+            height,
+            view,
+            projection,
+            shadow=0,
+            lightDirection=(0.5, -0.6, 1.6),
+            lightDistance=1.0,
+            lightAmbientCoeff=0.55,
+            lightDiffuseCoeff=0.45,
+            lightSpecularCoeff=0.06,
+            renderer=pybullet.ER_TINY_RENDERER,
+        )
+        picture = np.asarray(colour, np.uint8).reshape(height, width, 4)[..., :3].copy()
+        picture[np.asarray(segments).reshape(height, width) < 0] = 255
+        return picture
+
+    def _pose_arm(self, name: str, joints: Array | None) -> None:
+        if joints is None:
+            side = math.copysign(1.0, base_of(name, self._p).y_m)
+            yaw = math.pi / 2
+            arm = solve(base_of(name, self._p), _IDLE[0], side * _IDLE[1], _IDLE[2], yaw, self._p)
+            joints = np.append(arm, [0.02, 0.02])
+        body = self._world.arms[name].body
+        for joint, value in zip((*robots.ARM_JOINTS, *robots.FINGER_JOINTS), joints.tolist(), strict=True):
+            self._client.resetJointState(body, joint, value)
+        for finger in robots.FINGER_JOINTS:
+            self._extras.append(self._carriage(body, finger))
+
+    def _carriage(self, body: int, finger: int) -> int:
+        """The part of a finger between its pad and the palm, which physics leaves out: nothing can touch it."""
+        p = self._p
+        state = self._client.getLinkState(body, finger)
+        matrix = np.array(self._client.getMatrixFromQuaternion(state[5])).reshape(3, 3)
+        palm = robots.FLANGE_M + robots.PALM_SIZE_M[2] - (p.tcp_offset_m - p.finger_length_m / 2)
+        bottom = -p.finger_length_m / 2
+        side = -1 if finger == robots.FINGER_JOINTS[0] else 1
+        centre = matrix @ [0.0, side * 0.008, (palm + bottom) / 2] + state[4]
+        return self._box(centre, (0.0125, 0.008, (bottom - palm) / 2), _CARRIAGE, state[5])
+
+    def _show(self, body: Body) -> int:
+        parts = boxes(body.spec)
+        shape = self._client.createVisualShapeArray(
+            shapeTypes=[pybullet.GEOM_BOX] * len(parts),
+            halfExtents=[[part.half_x, part.half_y, body.spec.height_m / 2] for part in parts],
+            visualFramePositions=[[part.x, part.y, 0.0] for part in parts],
+            rgbaColors=[COLOURS[body.role]] * len(parts),
+        )
+        return int(self._client.createMultiBody(0, -1, shape, body.position, body.quaternion))
+
+    def _shade(self, body: Body) -> int:
+        """The shadow of an object under light from above (TinyRenderer's own lays the whole table in the dark)."""
+        yaw = self._client.getEulerFromQuaternion(body.quaternion)[2]
+        parts = boxes(body.spec)
+        shape = self._client.createVisualShapeArray(
+            shapeTypes=[pybullet.GEOM_BOX] * len(parts),
+            halfExtents=[[part.half_x + 0.003, part.half_y + 0.003, 0.0002] for part in parts],
+            visualFramePositions=[[part.x, part.y, 0.0] for part in parts],
+            rgbaColors=[_SHADE] * len(parts),
+        )
+        x, y, _ = body.position
+        return int(
+            self._client.createMultiBody(0, -1, shape, (x, y, 0.0004), (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)))
+        )
+
+    def _box(
+        self, centre: Sequence[float], half: Sequence[float], colour: Colour, quaternion: Sequence[float] = (0, 0, 0, 1)
+    ) -> int:
+        shape = self._client.createVisualShape(pybullet.GEOM_BOX, halfExtents=half, rgbaColor=colour)
+        return int(self._client.createMultiBody(0, -1, shape, list(centre), list(quaternion)))
