@@ -145,7 +145,9 @@ def main() -> None:
                 print(f"# {task} {row['policy']}: {row['outcomes']} {row['seconds']:.0f} s", file=sys.stderr)
     print(f"\nparameters {parameters_hash(parameters)[:12]} {changes or ''}\n\n{markdown(rows)}")
     if arguments.json:
-        arguments.json.write_text(json.dumps({"parameters": parameters_hash(parameters), "rows": rows}, indent=1) + "\n")
+        arguments.json.write_text(
+            json.dumps({"parameters": parameters_hash(parameters), "rows": rows}, indent=1) + "\n"
+        )
 
 
 if __name__ == "__main__":

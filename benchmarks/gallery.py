@@ -29,6 +29,8 @@ from rema_data.schema import TASKS, Embodiment, Primitive, Situation
 ROOT_SEED = 7
 MIDDLE_M = 0.06
 """Shown targets are this near to the middle, so that the map has them whole."""
+IN_VIEW_M = 0.35
+"""A shown push moves its target no farther, so that it is still in the picture."""
 COLOURS = 256
 """Of each file: enough for shaded bodies, and small enough for a repository."""
 TITLES = {
@@ -72,7 +74,10 @@ def success(simulator: Simulator, task: str, first: int) -> tuple[Situation, int
             continue
         for k in angles:
             action = int(grid.snap(target.x_m - offset, target.y_m, k * 2 * np.pi / grid.ANGLES))
-            if valid[action] and simulator.run(situation, action).success:
+            if not valid[action]:
+                continue
+            outcome = simulator.run(situation, action)
+            if outcome.success and outcome.displacement_m < IN_VIEW_M:
                 return situation, action
     raise SystemExit(f"no success in 200 episodes of {task}")
 

@@ -17,6 +17,7 @@ from rich.table import Table
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
 
+PAGE_WIDTH = 140
 MISSED_TARGET = 6
 """Exit code of a benchmark that found a mismatch, or with ``--check`` one that misses its target."""
 
@@ -80,6 +81,8 @@ def finish(
         Whether something that must be equal was not: a failure even without ``--check``.
     """
     console = Console()
+    if not console.is_terminal:
+        console = Console(width=PAGE_WIDTH)
     for table in tables:
         console.print(table)
     if targets:
@@ -114,7 +117,11 @@ def as_rows(table: Table) -> dict[str, Any]:
     """Title, header and cells of a table, as strings."""
     columns = [[str(cell) for cell in column.cells] for column in table.columns]
     header = [str(column.header) for column in table.columns]
-    return {"title": str(table.title or ""), "header": header, "rows": [list(row) for row in zip(*columns, strict=True)]}
+    return {
+        "title": str(table.title or ""),
+        "header": header,
+        "rows": [list(row) for row in zip(*columns, strict=True)],
+    }
 
 
 def shown_command(argv: list[str]) -> str:

@@ -16,8 +16,9 @@ from rema_data.schema import TASKS
 __all__ = ["PUBLISHED_REMARK", "Row", "find_runs", "leaderboard", "published_rows", "read_run", "remarks"]
 
 PUBLISHED_REMARK = (
-    "published: rates of the paper's Table 2, over more than 10,000 episodes each. Its scenes and its simulator are not "
-    "ours, so z (same policy, ours minus published, in standard errors) says how close the worlds are, not who is better."
+    "published: rates of the paper's Table 2, over more than 10,000 episodes each. Its scenes and its simulator are "
+    "not ours, so z (same policy, ours minus published, in standard errors) says how close the worlds are, "
+    "not who is better."
 )
 _SUMMARY_FIELDS = ("task", "policy", "protocol", "eligible", "successes", "policy_errors", "infra_errors", "failures")
 
@@ -195,7 +196,8 @@ def remarks(rows: Iterable[Row]) -> list[str]:
         marks = {row.fingerprint for row in listed if row.fingerprint and (row.task, row.protocol) == (task, protocol)}
         if len(marks) > 1:
             found.append(
-                f"{task} ({protocol}): the runs differ in protocol, scenario list or simulator: do not compare their rates."
+                f"{task} ({protocol}): the runs differ in protocol, scenario list or simulator: "
+                "do not compare their rates."
             )
     if any(row.infra_errors for row in listed):
         found.append("Infrastructure errors are in no denominator; the run's summary.json gives the rate's bounds.")

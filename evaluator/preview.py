@@ -183,7 +183,7 @@ def find_step(scenario: Scenario, protocol: str, answer: Any) -> tuple[Situation
 def play(situation: Situation, action: int) -> Played:
     """Carry out a step, and keep what it looked like before and after."""
     pose = tuple(float(value) for value in grid.to_world(action))
-    arm = acting_arm(situation.kind, action)
+    arm = acting_arm(situation.task, situation.step, action)
     before = _waiting(situation, (pose[0], pose[1], pose[2]), arm or "left")
     if arm is None:
         return Played(situation, action, StepOutcome(False, Failure.UNREACHABLE), before, before)

@@ -1,7 +1,7 @@
 """Frozen scenario lists: Parquet files whose sha256 stands in a manifest.
 
 A list has one row a scenario. Its columns follow from the task: ``object{n}_*`` for the object of step n,
-``tool{n}_*`` for the n-th tool in hand (0 is the left hand's where there are two) and ``pinch_*`` for the pinched object.
+``tool{n}_*`` for the n-th tool in hand (0: the left hand's where there are two) and ``pinch_*`` for the pinched object.
 """
 
 from __future__ import annotations

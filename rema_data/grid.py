@@ -6,7 +6,7 @@ column ``j`` with world x. All functions take scalars or arrays.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -62,7 +62,7 @@ def snap(x_m: Any, y_m: Any, yaw_rad: Any) -> Any:
     return encode(i, j, k)
 
 
-@lru_cache(maxsize=None)
+@cache
 def inside_valid_square() -> Array:
     """Whether a scene pixel may be acted on, bool (64, 64), read-only: the central 56 x 56."""
     inside = np.zeros((SCENE_PIXELS, SCENE_PIXELS), bool)

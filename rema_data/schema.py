@@ -35,7 +35,7 @@ HEIGHT_STEP_M = 1e-4
 class Shape(StrEnum):
     """The three seed shapes (paper, section 4)."""
 
-    I = "I"  # noqa: E741
+    I = "I"
     L = "L"
     T = "T"
 

@@ -1,4 +1,4 @@
-"""The parent side of one worker process: a fresh interpreter, alone in its group, silent, and killed with its parent."""
+"""The parent side of one worker process: a fresh interpreter, alone in its group, silent, killed with its parent."""
 
 from __future__ import annotations
 

@@ -46,14 +46,14 @@ class InlineEngine:
 
     def _run(self, job: Job) -> JobResult:
         """One job, tried a second time in a fresh simulator where the first raised."""
-        for attempt in (1, 2):
+        for attempt in (1, 2):  # noqa: B007 - part of the result
             if self._simulator is None:
                 self._simulator = load_attribute(self._factory)()
             start = time.perf_counter()
             outcome: StepOutcome | InfraError
             try:
                 outcome = self._simulator.run(job.situation, job.action)
-            except Exception:  # noqa: BLE001 - whatever it is, it is the result of this job
+            except Exception:
                 outcome = InfraError("raised", traceback.format_exc(limit=-5))
                 self.close()
             if isinstance(outcome, StepOutcome):

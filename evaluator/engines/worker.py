@@ -59,7 +59,7 @@ def main(arguments: list[str]) -> int:
             serve(channel, target)
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return 0
-    except BaseException:  # noqa: BLE001 - whatever it is, the parent reports it
+    except BaseException:
         channel.send((RAISED, traceback.format_exc(limit=-8)))
         return 1
     return 0

@@ -48,7 +48,7 @@ def main(arguments: list[str]) -> None:
     own_folder = str(Path(order["path"]).parent) + os.sep
     try:
         policy, privileged = _load(order)
-    except BaseException as error:  # noqa: BLE001 - whatever it raises is the answer
+    except BaseException as error:
         _reply(reply_fd, {"op": "loaded", "ok": False, **_describe(error, own_folder)})
         return
     _reply(reply_fd, {"op": "loaded", "ok": True, "privileged": privileged})
@@ -82,7 +82,7 @@ def _listen(request_fd: int, questions: queue.Queue[Question]) -> None:
                 question = read_frame(read, MAX_HEADER, _ANY_SIZE)
                 op = question[0]["op"]
                 questions.put(question)
-    except BaseException:  # noqa: BLE001 - the judge is gone, whatever the reason
+    except BaseException:
         os.killpg(0, signal.SIGKILL)
 
 
@@ -120,7 +120,7 @@ def _act(
             answer = np.asarray(policy.act(batch, situations_from_header(header)))
         else:
             answer = np.asarray(policy.act(batch))
-    except BaseException as error:  # noqa: BLE001 - whatever it raises is the answer
+    except BaseException as error:
         return {"ok": False, "reason": "exception", **_describe(error, own_folder)}, None
     if answer.shape not in ((count, 3), (count,)):
         detail = f"returned shape {answer.shape}, expected ({count}, 3) or ({count},)"
@@ -146,7 +146,7 @@ def _describe(error: BaseException, own_folder: str) -> dict[str, str]:
             where = f"{frame.filename}:{frame.lineno}"
     try:
         message, lines = f"{type(error).__name__}: {error}", traceback.format_exception(type(error), error, start)
-    except Exception:  # noqa: BLE001 - an exception whose text raises in turn
+    except Exception:
         message, lines = type(error).__name__, []
     return {
         "message": message[:_MESSAGE_CHARACTERS],

@@ -1,4 +1,4 @@
-"""The judge's end of a policy: starts its process, asks batches, and turns every broken promise into a counted fault."""
+"""The judge's end of a policy: starts its process, asks batches, turns every broken promise into a counted fault."""
 
 from __future__ import annotations
 

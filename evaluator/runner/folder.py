@@ -105,7 +105,8 @@ class RunFolder:
                 )
         if episodes < self.header["episodes"]:
             raise RunMismatchError(
-                f"{self.path} belongs to another run: its episodes are {self.header['episodes']}, this one's {episodes}",
+                f"{self.path} belongs to another run: its episodes are "
+                f"{self.header['episodes']}, this one's {episodes}",
                 hint=f"give --episodes {self.header['episodes']} or more, or choose another folder with --output",
                 path=str(self.path),
                 field="episodes",

@@ -15,7 +15,6 @@ import numpy as np
 from evaluator.sim.footprints import (
     finger_footprint,
     hand_footprints,
-    held_footprint,
     inner_extents,
     lowest_point,
     pair_heights,
@@ -23,7 +22,7 @@ from evaluator.sim.footprints import (
 )
 from evaluator.sim.parameters import WORLD, WorldParameters
 from evaluator.sim.planar import Rect, paint
-from evaluator.sim.shapes import boxes, footprint
+from evaluator.sim.shapes import boxes, footprint, held_footprint
 from rema_data.grid import EE_HALF_M, EE_PIXELS, SCENE_HALF_M, SCENE_PIXELS
 from rema_data.schema import HEIGHT_STEP_M, Embodiment, Observation, Primitive, Situation
 

@@ -96,7 +96,7 @@ class WorldParameters:
     rest_speed_m_s: float = 0.005
 
     # Two-stick pincer
-    pair_open_m: float = 0.039  # from the pair's origin to each stick's tip, open
+    pair_open_m: float = 0.038  # from the pair's origin to each stick's tip, open
     pair_empty_m: float = 0.005  # likewise, where a closing has met nothing and stops: wrists must not meet
     pair_contact_n: float = 5.0  # both sticks feel the target
     pair_squeeze_steps: int = 40  # between contact and lift

@@ -52,7 +52,7 @@ def reachable(kind: StepKind, parameters: WorldParameters = WORLD) -> Array:
     low, high = (parameters.grasp_height_m, parameters.lift_height_m + parameters.grasp_height_m)
     travel = parameters.push_distance_m
     yaws = hand_yaws(kind, theta)
-    result = np.zeros((2, *_SHAPE), bool)
+    result: Array = np.zeros((2, *_SHAPE), bool)
     for side, arm in enumerate(("left", "right")):
         base = base_of(arm, parameters)
         ok = np.ones(_SHAPE, bool)
@@ -60,8 +60,10 @@ def reachable(kind: StepKind, parameters: WorldParameters = WORLD) -> Array:
             along = 1.0 if arm == "left" else -1.0
             ux, uy = along * np.cos(theta), along * np.sin(theta)
             near, far = pair_distances(parameters)
+            heights: tuple[float, ...]
+            shifts: tuple[float, ...]
             if kind.primitive is Primitive.GRASP:
-                heights, shifts = (0.0, 0.03, 0.03 + parameters.pair_lift_height_m), (0.0,)
+                heights, shifts = (*TOOL_HEIGHTS_M, TOOL_HEIGHTS_M[1] + parameters.pair_lift_height_m), (0.0,)
             else:
                 heights, shifts = TOOL_HEIGHTS_M, (0.0, travel / 2, travel)
             for distance in (near, far):
@@ -97,7 +99,7 @@ def _path_ok(
 @lru_cache(maxsize=16)
 def valid_actions(task: str, step: int) -> Array:
     """Actions that a policy may choose at a step of a task, bool (64, 64, 16), read-only."""
-    valid = reachable(TASKS[task][step]).any(axis=0)
+    valid: Array = np.asarray(reachable(TASKS[task][step]).any(axis=0))
     valid.setflags(write=False)
     return valid
 

@@ -1,4 +1,4 @@
-"""One generated URDF per arm: an iiwa 7 with a WSG-50, mesh-free for physics, or with pybullet_data's meshes to look at.
+"""One generated URDF per arm: an iiwa 7 with a WSG-50, mesh-free for physics, or with meshes to look at.
 
 Joint frames, masses and inertias are those of the iiwa description that ships with PyBullet. The hand is part of link
 7, so that nothing between arm and jaws can give way; collision geometry is what can touch something: palm and fingers.

@@ -211,7 +211,8 @@ class World:
     @property
     def objects(self) -> tuple[int, ...]:
         """Bodies of the objects, in the order in which they were placed."""
-        return tuple(self._objects)
+        count = self.client.getNumBodies()
+        return tuple(self.client.getBodyUniqueId(n) for n in range(1 + len(self.arms), count))  # table and arms first
 
     def step(self, count: int = 1) -> None:
         """Advance the simulation by ``count`` steps."""

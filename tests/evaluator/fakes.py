@@ -174,9 +174,7 @@ def write_fake_list(manifests: Path, task: str, count: int, split: str = "test")
     folder = manifests / "scenarios" / VERSION
     sha256 = write_list(folder / file, [fake_scenario(task, index, split) for index in range(count)])
     manifest = folder / "manifest.json"
-    update_manifest(
-        manifest, VERSION, f"{task}/{split}", file=file, sha256=sha256, count=count, seed_domain="test"
-    )
+    update_manifest(manifest, VERSION, f"{task}/{split}", file=file, sha256=sha256, count=count, seed_domain="test")
 
 
 def fake_config(output: Path, task: str = "grasp", **changes: Any) -> Any:

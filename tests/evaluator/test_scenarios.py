@@ -35,9 +35,7 @@ def test_missing_tools_stay_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     import hashlib
 
     digest = hashlib.sha256(payload).hexdigest()
-    update_manifest(
-        manifest, VERSION, "grasp_push/test", file="a.parquet", sha256=digest, count=1, seed_domain="x"
-    )
+    update_manifest(manifest, VERSION, "grasp_push/test", file="a.parquet", sha256=digest, count=1, seed_domain="x")
     assert load_list("grasp_push").scenarios == (bare,)
 
 

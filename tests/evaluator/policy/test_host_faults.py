@@ -132,7 +132,7 @@ def test_a_process_that_it_started_does_not_outlive_it(write_policy: WritePolicy
     pid_file = tmp_path / "pid"
     spec = write_policy(
         "time.sleep(60)",
-        init=f"import subprocess; open({str(pid_file)!r}, 'a').write(str(subprocess.Popen(['sleep', '300']).pid) + ' ')",
+        init=f"import subprocess as s; open({str(pid_file)!r}, 'a').write(str(s.Popen(['sleep', '300']).pid) + ' ')",
     )
     with PolicyHost(spec, None, "cpu", IMPATIENT) as host:
         host.act(make_batch(1))

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from evaluator.sim.attempt import Attempt, Hand
-from evaluator.sim.motion import JointPath
 from evaluator.sim.kinematics import solve_path
+from evaluator.sim.motion import JointPath
 from evaluator.sim.parameters import WORLD, parameters_hash
 from evaluator.sim.primitives.push import take_tool
 from evaluator.sim.reach import valid_actions

@@ -1,0 +1,94 @@
+"""Write the tables of docs/calibration.md from result files and run folders.
+
+    python benchmarks/calibrate.py --json benchmarks/results/calibration.json
+    python benchmarks/sensitivity.py --json benchmarks/results/sensitivity.json
+    python benchmarks/calibration_report.py --runs runs/*      # copies the runs' summaries to benchmarks/results/runs/
+
+Only what stands between the markers of the page is replaced; without ``--runs`` the copied summaries are used.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks.calibrate import PUBLISHED, markdown
+from benchmarks.results import RESULTS, ROOT
+
+PAGE = ROOT / "docs" / "calibration.md"
+
+
+def replace_block(text: str, name: str, content: str) -> str:
+    """``text`` with the lines between the markers of a block replaced."""
+    start, end = f"<!-- {name}: made by benchmarks/calibration_report.py -->", f"<!-- end of {name} -->"
+    head, found, rest = text.partition(start)
+    _, closed, tail = rest.partition(end)
+    if not (found and closed):
+        raise SystemExit(f"{PAGE} has no block {name!r}")
+    return f"{head}{start}\n\n{content}\n\n{end}{tail}"
+
+
+def runs_table(summaries: list[dict[str, Any]]) -> str:
+    """One row a run, ours beside the paper's."""
+    lines = [
+        "| task | policy | k / n | ours, % | 95 % | paper, % | failures, % of episodes |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    order = [*PUBLISHED, "grasp_grasp_push"]
+    for run in sorted(summaries, key=lambda run: (order.index(run["task"]), run["policy"])):
+        low, high = run["ci95"]
+        paper = PUBLISHED.get(run["task"], {}).get(run["policy"])
+        labels = sorted(run["failures"].items(), key=lambda item: -item[1])
+        failures = ", ".join(f"{label} {100 * count / run['eligible']:.1f}" for label, count in labels)
+        lines.append(
+            f"| {run['task']} | {run['policy']} | {run['successes']} / {run['eligible']} "
+            f"| {100 * run['success_rate']:.2f} | {100 * low:.1f} to {100 * high:.1f} "
+            f"| {'-' if paper is None else f'{paper:.2f}'} | {failures} |"
+        )
+    return "\n".join(lines)
+
+
+def knobs_table(content: dict[str, Any]) -> str:
+    """One row a changed constant: the difference that it makes, in points."""
+    columns = [f"{policy} {task}" for task in PUBLISHED for policy in ("random", "scripted")]
+    base = content["lines"][0]["rates"]
+    lines = ["| changed alone | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
+    lines.append("| as calibrated, % | " + " | ".join(f"{base[column]:.1f}" for column in columns) + " |")
+    for line in content["lines"][1:]:
+        cells = [f"{line['rates'][c] - base[c]:+.1f}" if c in line["rates"] else "" for c in columns]
+        lines.append(f"| {line['setting']} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Replace the blocks of the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", nargs="*", type=Path, default=[])
+    arguments = parser.parse_args()
+    kept = RESULTS / "runs"
+    kept.mkdir(parents=True, exist_ok=True)
+    for run in arguments.runs:
+        shutil.copyfile(run / "summary.json", kept / f"{run.name}.json")
+    text = PAGE.read_text(encoding="utf-8")
+    calibration = json.loads((RESULTS / "calibration.json").read_text(encoding="utf-8"))
+    text = replace_block(text, "calibration", markdown(calibration["rows"]))
+    summaries = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(kept.glob("*.json"))]
+    conditional = [
+        run for run in summaries if run["protocol"] == "conditional" and run["policy"] in ("random", "scripted")
+    ]
+    text = replace_block(text, "runs", runs_table(conditional))
+    sensitivity = RESULTS / "sensitivity.json"
+    if sensitivity.exists():
+        text = replace_block(text, "knobs", knobs_table(json.loads(sensitivity.read_text(encoding="utf-8"))))
+    PAGE.write_text(text, encoding="utf-8")
+    print(PAGE.relative_to(ROOT))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,100 @@
+"""Every benchmark runs, in a reduced size, and writes a result that becomes a section of the page."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def run(script: str, *words: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run a script of ``benchmarks`` as a reader would."""
+    command = [sys.executable, f"benchmarks/{script}.py", *words]
+    return subprocess.run(
+        command, cwd=ROOT, env={**os.environ, **environment}, capture_output=True, text=True, timeout=300
+    )
+
+
+def measured(tmp_path: Path, script: str, *words: str, **environment: str) -> dict[str, Any]:
+    """Content of a script's result file, after it ended well."""
+    file = tmp_path / f"{script}.json"
+    done = run(script, *words, "--json", str(file), **environment)
+    assert done.returncode == 0, done.stderr
+    content: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    assert content["benchmark"] == script
+    assert "--json" not in content["command"]
+    return content
+
+
+def page(tmp_path: Path) -> str:
+    output = tmp_path / "performance.md"
+    done = run("report", "--results", str(tmp_path), "--output", str(output))
+    assert done.returncode == 0, done.stderr
+    return output.read_text(encoding="utf-8")
+
+
+def test_same_cases_have_the_same_outcomes_under_other_histories(tmp_path: Path) -> None:
+    words = ("--episodes", "3", "--others", "4", "--tasks", "grasp,grasp_push")
+    content = measured(tmp_path, "determinism", *words)
+    assert content["numbers"]["cases"] == 18
+    assert all(found["differences"] == 0 for found in content["numbers"]["histories"].values())
+    assert "## Determinism" in page(tmp_path)
+
+
+def test_the_shortcut_is_compared_with_simulation(tmp_path: Path) -> None:
+    content = measured(tmp_path, "shortcuts", "--episodes", "40", "--tasks", "grasp,push", "--workers", "1")
+    assert content["numbers"]["grasp random shortcut"] > 0
+    assert content["targets"][0]["reached"]
+
+
+def test_speed_and_its_page(tmp_path: Path) -> None:
+    words = ("--tasks", "grasp,push", "--episodes", "4", "--repeats", "1", "--plain", "0")
+    content = measured(tmp_path, "sim_throughput", *words)
+    for row in content["numbers"]["tasks"].values():
+        assert 0 < row["stepping_share"] < 1
+        assert row["episodes_per_second"] > 0
+    text = page(tmp_path)
+    assert "python benchmarks/sim_throughput.py" in text
+    assert content["machine"]["pybullet"] in text
+
+
+def test_memory(tmp_path: Path) -> None:
+    content = measured(tmp_path, "memory", "--episodes", "40", "--engine-episodes", "150")
+    assert content["numbers"]["two_workers_mb"] > 0
+
+
+def test_no_results_are_an_answer_and_no_traceback(tmp_path: Path) -> None:
+    done = run("report", "--results", str(tmp_path), "--output", str(tmp_path / "page.md"))
+    assert done.returncode == 2
+    assert "python benchmarks/sim_throughput.py" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.slow
+def test_the_plain_recipe_agrees_on_most_grasps(tmp_path: Path) -> None:
+    words = ("--tasks", "grasp", "--episodes", "4", "--repeats", "1", "--plain", "12")
+    plain = measured(tmp_path, "sim_throughput", *words)["numbers"]["plain"]
+    assert plain["episodes"] == 12
+    assert plain["success_flips"] <= 4
+    assert plain["ratio"] > 5
+
+
+@pytest.mark.slow
+def test_a_whole_run_against_bare_stepping(tmp_path: Path) -> None:
+    environment = {"REMA_MANIFESTS": str(tmp_path / "manifests"), "REMA_HOME": str(tmp_path / "home")}
+    (tmp_path / "manifests").mkdir()
+    words = ("scenarios", "v1", "--task", "grasp", "--test", "60", "--val", "5")
+    command = [sys.executable, "-m", "evaluator.cli", *words]
+    subprocess.run(command, cwd=ROOT, env={**os.environ, **environment}, check=True, capture_output=True, timeout=300)
+    words = ("--tasks", "grasp", "--policies", "scripted", "--episodes", "60", "--sample", "20")
+    (found,) = measured(tmp_path, "full_run", *words, **environment)["numbers"]["runs"]
+    assert found["episodes"] == 60
+    assert found["ratio"] > 1
+    assert "## Whole runs" in page(tmp_path)
