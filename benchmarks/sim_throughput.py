@@ -39,6 +39,8 @@ WARM_UP = 10
 STEPPING_SHARE = 0.85
 OBSERVATION_SHARE = 0.05
 PLAIN_RATIO = 20.0
+GRAZING_MM = 3.0
+"""Fingers that land on an object by less may be stopped by its edge or slip past it."""
 ARMS = (("left",), ("right",), ("left", "right"))
 
 clock = time.perf_counter
@@ -229,7 +231,8 @@ def plain_tables(pairs: list[Pair]) -> tuple[list[Table], dict[str, Any], list[s
         for pair in different
     ]
     if different:
-        notes.append("Where fingers land on an object by a millimetre or two, either recipe may slip past its edge.")
+        grazing = sum(0 < overlap_mm(pair.case) < GRAZING_MM for pair in different)
+        notes.append(f"{grazing} of {len(different)}: fingers descend on the object's edge by < {GRAZING_MM:.0f} mm.")
     return [speed, labels], numbers, notes
 
 

@@ -41,9 +41,9 @@ def encode(i: Any, j: Any, k: Any) -> Any:
 
 
 def decode(index: Any) -> tuple[Any, Any, Any]:
-    """Row, column and angle of a grid index."""
-    cell, k = np.divmod(np.asarray(index), ANGLES)
-    i, j = np.divmod(cell, SCENE_PIXELS)
+    """Row, column and angle of a grid index (int or array)."""
+    cell, k = divmod(index, ANGLES)
+    i, j = divmod(cell, SCENE_PIXELS)
     return i, j, k
 
 

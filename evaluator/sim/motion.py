@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,9 @@ from evaluator.sim.parameters import WorldParameters
 Array = npt.NDArray[Any]
 
 
+@lru_cache(maxsize=64)
 def profile(distance_m: float, speed_m_s: float, tick_s: float, ramp_share: float) -> Array:
-    """Share of the way covered at every control tick, float64 (n + 1,), from 0 to 1.
+    """Share of the way covered at every control tick, float64 (n + 1,), from 0 to 1, read-only.
 
     Speed rises and falls linearly, each over ``ramp_share`` of the duration.
     """
@@ -27,7 +29,9 @@ def profile(distance_m: float, speed_m_s: float, tick_s: float, ramp_share: floa
     rising = top * t**2 / (2 * ramp_share)
     cruising = top * (t - ramp_share / 2)
     falling = 1 - top * (1 - t) ** 2 / (2 * ramp_share)
-    return np.where(t < ramp_share, rising, np.where(t <= 1 - ramp_share, cruising, falling))
+    shares: Array = np.where(t < ramp_share, rising, np.where(t <= 1 - ramp_share, cruising, falling))
+    shares.setflags(write=False)
+    return shares
 
 
 @dataclass(frozen=True, slots=True)

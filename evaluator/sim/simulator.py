@@ -66,7 +66,7 @@ class Simulator:
         if kind.embodiment is Embodiment.GRIPPER and kind.primitive is Primitive.GRASP:
             return grasp.can_touch(situation, pose, parameters)
         if kind.embodiment is Embodiment.PINCHED:
-            return pinched.can_touch(situation, pose, parameters)
+            return True  # the pinch may be lost on the way, and that label is not known beforehand
         if kind.embodiment is Embodiment.STICKS:
             return pincer.can_touch(situation, pose, parameters)
         return push.can_touch(situation, situation.grips[0] if situation.grips else None, pose, parameters)

@@ -9,21 +9,11 @@ import numpy as np
 from evaluator.sim.attempt import Attempt, Ended, relative, wrap
 from evaluator.sim.footprints import clear_of_target, pinched_footprint, pinched_heights
 from evaluator.sim.motion import profile
-from evaluator.sim.parameters import WorldParameters
-from evaluator.sim.planar import gap
 from evaluator.sim.primitives.grasp import CLEAR_M
 from evaluator.sim.primitives.pair import PairPath, Squeeze, lower, pair_path
 from evaluator.sim.primitives.pincer import pair_frame
-from evaluator.sim.primitives.push import CLEAR_TOOL_M, POLL_EVERY, judge, settle, swept
-from evaluator.sim.shapes import footprint
-from rema_data.schema import Failure, Situation
-
-
-def can_touch(situation: Situation, pose: tuple[float, float, float], parameters: WorldParameters) -> bool:
-    """Whether the pinched object, a stick or a hand could touch the target anywhere on the way."""
-    assert situation.pinch is not None
-    rects = pinched_footprint(situation.grips, situation.pinch, parameters)
-    return gap(swept(rects, pose, parameters.push_distance_m), footprint(situation.target)) <= CLEAR_TOOL_M
+from evaluator.sim.primitives.push import POLL_EVERY, judge, settle
+from rema_data.schema import Failure
 
 
 def push_pinched(attempt: Attempt, pose: tuple[float, float, float]) -> None:

@@ -1,0 +1,24 @@
+#!/usr/bin/env bash
+# Every number of docs/calibration.md and docs/performance.md, from nothing, in order. Hours on two cores; every step can be
+# stopped and run again. Run it alone on the machine: most of it measures time.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+results=benchmarks/results
+
+rema scenarios v1 # lists that are already there are kept
+for task in grasp push grasp_push grasp_grasp grasp_grasp_push; do
+  for policy in random scripted; do
+    rema evaluate "$policy" --task "$task" --workers 2
+  done
+done
+python benchmarks/calibrate.py --json $results/calibration.json
+python benchmarks/sensitivity.py --json $results/sensitivity.json
+python benchmarks/calibration_report.py --runs runs/*-conditional
+
+python benchmarks/sim_throughput.py --json $results/sim_throughput.json
+python benchmarks/shortcuts.py --json $results/shortcuts.json
+python benchmarks/memory.py --json $results/memory.json
+python benchmarks/determinism.py --json $results/determinism.json
+python benchmarks/full_run.py --runs runs/*-conditional --json $results/full_run.json
+python benchmarks/report.py
+python benchmarks/gallery.py
