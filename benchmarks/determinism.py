@@ -72,7 +72,7 @@ def digest(simulator: Simulator, case: Case) -> Verdict:
 
 def final_state(simulator: Simulator, outcome: StepOutcome) -> list[object]:
     """Poses and velocities of all bodies, joint states of the arms, as the last simulation left them."""
-    world = simulator.world(("left", "right") if outcome.arm == "both" else (outcome.arm,))
+    world = simulator.world
     client = world.client
     state: list[object] = []
     for body in (client.getBodyUniqueId(n) for n in range(client.getNumBodies())):
@@ -95,7 +95,7 @@ def run_history(history: History, cases_file: str) -> list[Verdict]:
     for position in history.order:
         if history.rebuilds and rng.random() < REBUILD_SHARE:
             for arms in (("left",), ("right",), ("left", "right")):
-                simulator.world(arms).begin()
+                simulator.world.begin(arms)
         verdicts[position] = digest(simulator, cases[position])
     simulator.close()
     return [verdicts[position] for position in range(len(cases))]

@@ -24,15 +24,14 @@ SINGLE = ("grasp", "push", "grasp_push")
 SETTINGS: tuple[tuple[dict[str, float], tuple[str, ...]], ...] = (
     ({}, (*SINGLE, "grasp_grasp")),
     ({"length_max_m": 0.14}, SINGLE),
-    ({"width_max_m": 0.040}, SINGLE),
+    ({"width_max_m": 0.040}, ("grasp",)),
     ({"arm_ratio": 1.0}, SINGLE),
     ({"descend_speed_m_s": 0.25}, SINGLE),
-    ({"stop_force_n": 100.0}, ("grasp",)),
     ({"finger_lateral_m": 0.016}, SINGLE),
-    ({"grasp_spawn_half_m": 0.09}, ("grasp", "grasp_grasp")),
+    ({"grasp_spawn_half_m": 0.09}, ("grasp",)),
     ({"push_speed_m_s": 0.5}, ("push",)),
     ({"tool_push_speed_m_s": 1.0}, ("grasp_push",)),
-    ({"scripted_push_offset_m": 0.11}, ("push", "grasp_push")),
+    ({"scripted_push_offset_m": 0.11}, ("grasp_push",)),
     ({"table_friction": 0.8}, ("push", "grasp_push")),
     ({"pair_open_m": 0.050}, ("grasp_grasp",)),
     ({"object_friction": 0.50}, ("grasp_grasp",)),
@@ -43,7 +42,7 @@ SETTINGS: tuple[tuple[dict[str, float], tuple[str, ...]], ...] = (
 def main() -> None:
     """Measure every setting and print one line each."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--episodes", type=int, default=1000)
+    parser.add_argument("--episodes", type=int, default=500)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()

@@ -41,20 +41,17 @@ OBSERVATION_SHARE = 0.05
 PLAIN_RATIO = 20.0
 GRAZING_MM = 3.0
 """Fingers that land on an object by less may be stopped by its edge or slip past it."""
-ARMS = (("left",), ("right",), ("left", "right"))
 
 clock = time.perf_counter
 
 
 class StepClock:
-    """Counts and times ``stepSimulation`` in every world of a simulator, by wrapping the one call that makes it."""
+    """Counts and times ``stepSimulation`` of a simulator, by wrapping the one call that makes it."""
 
     def __init__(self, simulator: Simulator) -> None:
         self.seconds = 0.0
         self.steps = 0
-        for arms in ARMS:
-            world = simulator.world(arms)
-            world._step = self._timed(world._step)
+        simulator.world._step = self._timed(simulator.world._step)
 
     def _timed(self, step: Callable[[], Any]) -> Callable[[], None]:
         def timed() -> None:

@@ -197,7 +197,7 @@ def play(situation: Situation, action: int) -> Played:
             simulator.run(situation, action)
         after = before
         if outcome.failure is not Failure.UNREACHABLE:
-            after = shot_of_world(simulator.world(("left", "right") if arm == "both" else (arm,)), _roles(situation))
+            after = shot_of_world(simulator.world, _roles(situation))
     finally:
         simulator.close()
     return Played(situation, action, outcome, before, after)

@@ -30,7 +30,7 @@ class Simulator:
         self, parameters: WorldParameters = WORLD, *, shortcuts: bool = True, meshes: str | None = None
     ) -> None:
         self.parameters, self._shortcuts, self._meshes = parameters, shortcuts, meshes
-        self._worlds: dict[tuple[str, ...], World] = {}
+        self._world: World | None = None
 
     def run(self, situation: Situation, action: int) -> StepOutcome:
         """Outcome of one action.
@@ -47,19 +47,21 @@ class Simulator:
         x, y, theta = (float(value) for value in grid.to_world(action))
         if self._shortcuts and not self._can_touch(situation, (x, y, theta)):
             return StepOutcome(False, Failure.MISSED, arm=arm)
-        world = self.world(("left", "right") if arm == "both" else (arm,))
-        return self._attempt(world, situation, (x, y, theta), arm)
+        self.world.begin(("left", "right") if arm == "both" else (arm,))
+        return self._attempt(self.world, situation, (x, y, theta), arm)
 
-    def world(self, arms: tuple[str, ...]) -> World:
-        """The world that holds these arms."""
-        if arms not in self._worlds:
-            self._worlds[arms] = World(arms, self.parameters, self._meshes)
-        return self._worlds[arms]
+    @property
+    def world(self) -> World:
+        """The one world, as the last simulated step left it."""
+        if self._world is None:
+            self._world = World(("left",), self.parameters, self._meshes)
+        return self._world
 
     def close(self) -> None:
         """Disconnect from Bullet."""
-        while self._worlds:
-            self._worlds.popitem()[1].close()
+        if self._world is not None:
+            self._world.close()
+            self._world = None
 
     def _can_touch(self, situation: Situation, pose: tuple[float, float, float]) -> bool:
         kind, parameters = situation.kind, self.parameters
@@ -73,7 +75,6 @@ class Simulator:
 
     def _attempt(self, world: World, situation: Situation, pose: tuple[float, float, float], arm: str) -> StepOutcome:
         kind = situation.kind
-        world.begin()
         target = situation.target
         tool_use = kind.embodiment is not Embodiment.GRIPPER
         body = world.place(target.spec, target.x_m, target.y_m, target.spec.height_m / 2, target.yaw_rad)

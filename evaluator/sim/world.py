@@ -157,13 +157,20 @@ class World:
     def __init__(self, arms: Sequence[str], parameters: WorldParameters = WORLD, meshes: str | None = None) -> None:
         self.parameters, self.meshes = parameters, meshes
         self.client = Client()
-        self._names = tuple(arms)
         self._step = self.client.stepSimulation
-        self.begin()
+        self.arms: dict[str, Arm] = {}
+        self.begin(arms)
 
-    def begin(self) -> None:
-        """Build everything anew: an empty table, the arms at rest; the caller resets the arms it uses."""
+    def begin(self, arms: Sequence[str] | None = None) -> None:
+        """Build everything anew: an empty table, and arms for the caller to reset.
+
+        Parameters
+        ----------
+        arms : sequence of str, optional
+            Those of before by default.
+        """
         p, parameters = self.client, self.parameters
+        names = tuple(self.arms) if arms is None else tuple(arms)
         self.steps = 0
         p.resetSimulation()
         p.setGravity(0, 0, parameters.gravity_m_s2)
@@ -177,7 +184,7 @@ class World:
         mark = p.createVisualShape(pybullet.GEOM_BOX, halfExtents=[0.01, 0.01, 0.0001])
         self.table: int = p.createMultiBody(0, plane, mark)
         p.changeDynamics(self.table, -1, lateralFriction=parameters.table_friction)
-        self.arms = {name: Arm(self, name) for name in self._names}
+        self.arms = {name: Arm(self, name) for name in names}
 
     def place(self, spec: ObjectSpec, x_m: float, y_m: float, z_m: float, yaw_rad: float) -> int:
         """Put an object's centre of mass at a pose, at rest; returns its body id."""

@@ -15,7 +15,7 @@ from rema_data.errors import InputError
 from rema_data.schema import TASKS
 
 
-@pytest.fixture()
+@pytest.fixture
 def manifests(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path))
     return tmp_path

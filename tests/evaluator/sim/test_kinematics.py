@@ -27,16 +27,16 @@ KINDS = sorted({kind for steps in TASKS.values() for kind in steps})
 
 @pytest.mark.parametrize("arm", ["left", "right"])
 def test_round_trip_over_the_reach_mask(simulator: Simulator, arm: str) -> None:
-    world = simulator.world((arm,))
-    body = world.arms[arm]
+    world = simulator.world
     rng = np.random.default_rng(0)
     cells = np.argwhere(reachable(TASKS["grasp"][0])[0 if arm == "left" else 1])
     worst = worst_yaw = 0.0
     for i, j, k in rng.choice(cells, 150):
         x, y, yaw = (float(value) for value in grid.to_world(grid.encode(i, j, k)))
         z = float(rng.choice([WORLD.grasp_height_m, 0.1, WORLD.lift_height_m]))
+        world.begin((arm,))
+        body = world.arms[arm]
         joints = solve_path(body.base, [x], [y], [z], [yaw], True)[0]
-        world.begin()
         body.reset(joints, 0.05)
         world.client.getLinkState(body.body, 6, computeForwardKinematics=1)
         px, py, pz, pyaw = body.hand_pose()

@@ -30,8 +30,8 @@ def shake(simulator: Simulator, rng: np.random.Generator) -> tuple[float, float]
     """Hold a bar of 0.1 kg and move it 10 cm to and fro for 5 s; returns slip (m) and turn (rad) in the hand."""
     spec = ObjectSpec(Shape.I, 0.100 / (WORLD.density_kg_m3 * HEIGHT * 0.045), 0.045, 0.0, HEIGHT)
     grip = held(spec, along_m=float(rng.uniform(-0.1, 0.1)) * spec.length_m)
-    world = simulator.world(("left",))
-    world.begin()
+    world = simulator.world
+    world.begin(("left",))
     target = world.place(BAR, 0.0, -0.6, HEIGHT / 2, 0.0)
     situation = Situation("grasp_push", 1, Placement(BAR, 0.0, -0.6, 0.0), (grip,))
     hand = Hand(world.arms["left"], grip)
