@@ -41,47 +41,49 @@ def pair_distances(parameters: WorldParameters) -> tuple[float, float]:
     return 0.75 * half_short, 1.25 * half_long + parameters.pair_open_m
 
 
+def _motion(kind: StepKind, p: WorldParameters) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+    """Where a hand must be able to go: distances from the action's place, heights, and shifts along +x (m)."""
+    distances = pair_distances(p) if kind.embodiment.two_arms else (0.0,)
+    shifts = (0.0,) if kind.primitive is Primitive.GRASP else (0.0, p.push_distance_m / 2, p.push_distance_m)
+    if kind.embodiment is not Embodiment.GRIPPER:
+        lift = (TOOL_HEIGHTS_M[1] + p.pair_lift_height_m,) if kind.primitive is Primitive.GRASP else ()
+        return distances, (*TOOL_HEIGHTS_M, *lift), shifts
+    if kind.primitive is Primitive.GRASP:
+        return distances, (p.grasp_height_m, p.grasp_height_m + p.lift_height_m), shifts
+    return distances, (p.push_height_m,), shifts
+
+
 @lru_cache(maxsize=16)
 def reachable(kind: StepKind, parameters: WorldParameters = WORLD) -> Array:
     """Whether an arm can carry out an action, bool (2, 64, 64, 16): left, right. Read-only.
 
     Checked at the ends of every motion of the primitive (and in the middle of a push).
     """
-    i, j, k = grid.decode(np.arange(grid.ACTIONS).reshape(_SHAPE))
-    x, y, theta = grid.to_world(grid.encode(i, j, k))
-    low, high = (parameters.grasp_height_m, parameters.lift_height_m + parameters.grasp_height_m)
-    travel = parameters.push_distance_m
-    yaws = hand_yaws(kind, theta)
+    actions = np.arange(grid.ACTIONS).reshape(_SHAPE)
+    x, y, theta = grid.to_world(actions)
+    distances, heights, shifts = _motion(kind, parameters)
+    symmetric = kind.embodiment is Embodiment.GRIPPER
     result: Array = np.zeros((2, *_SHAPE), bool)
-    for side, arm in enumerate(("left", "right")):
-        base = base_of(arm, parameters)
-        ok = np.ones(_SHAPE, bool)
-        if kind.embodiment.two_arms:
-            along = 1.0 if arm == "left" else -1.0
-            ux, uy = along * np.cos(theta), along * np.sin(theta)
-            near, far = pair_distances(parameters)
-            heights: tuple[float, ...]
-            shifts: tuple[float, ...]
-            if kind.primitive is Primitive.GRASP:
-                heights, shifts = (*TOOL_HEIGHTS_M, TOOL_HEIGHTS_M[1] + parameters.pair_lift_height_m), (0.0,)
-            else:
-                heights, shifts = TOOL_HEIGHTS_M, (0.0, travel / 2, travel)
-            for distance in (near, far):
-                px, py = x + distance * ux, y + distance * uy
-                for z in heights:
-                    ok &= _path_ok(base, px, py, z, yaws[side], shifts, False, parameters)
-        elif kind.primitive is Primitive.GRASP:
-            ok &= _path_ok(base, x, y, low, yaws[side], (0.0,), True, parameters)
-            ok &= _path_ok(base, x, y, high, yaws[side], (0.0,), True, parameters)
-        else:
-            symmetric = kind.embodiment is Embodiment.GRIPPER
-            heights = (parameters.push_height_m,) if symmetric else TOOL_HEIGHTS_M
-            for z in heights:
-                ok &= _path_ok(base, x, y, z, yaws[side], (0.0, travel / 2, travel), symmetric, parameters)
-        result[side] = ok
+    for side, (arm, along) in enumerate((("left", 1.0), ("right", -1.0))):
+        yaw = hand_yaws(kind, theta)[side]
+        result[side] = np.logical_and.reduce(
+            [
+                _path_ok(
+                    base_of(arm, parameters),
+                    x + along * distance * np.cos(theta),
+                    y + along * distance * np.sin(theta),
+                    z,
+                    yaw,
+                    shifts,
+                    symmetric,
+                    parameters,
+                )
+                for distance in distances
+                for z in heights
+            ]
+        )
     if kind.embodiment.two_arms:
-        both = result.all(axis=0) & (k < grid.PAIR_ANGLES)
-        result[:] = both
+        result[:] = result.all(axis=0) & (grid.decode(actions)[2] < grid.PAIR_ANGLES)
     result &= grid.inside_valid_square()[None, :, :, None]
     result.setflags(write=False)
     return result
