@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from evaluator.policy.loading import OWN_PREFIX
 from evaluator.statistics import wilson, z_against_published
 from rema_data.errors import InputError, MissingFileError
 from rema_data.manifests import manifests_dir
@@ -31,7 +32,7 @@ class Row:
     ----------
     policy : str
     tag : str
-        ``learned``, ``privileged``, ``random`` or ``published``.
+        ``submitted``, ``learned`` (the built-in ``tae-*``), ``privileged``, ``random`` or ``published``.
     task, protocol : str
     successes : int or None
         Not published by the paper.
@@ -128,7 +129,7 @@ def read_run(run: Path) -> Row:
 def _row(summary: dict[str, Any], run: Path) -> Row:
     successes, eligible = int(summary["successes"]), int(summary["eligible"])
     z, tag = None, _tag(summary)
-    same = summary["protocol"] == "conditional" and tag != "learned"  # a stranger's "joint.py" is not the paper's
+    same = summary["protocol"] == "conditional" and tag != "submitted"  # a stranger's "joint.py" is not the paper's
     known = _published_rate(summary["policy"], summary["task"]) if same else None
     if known is not None and eligible:
         z, _ = z_against_published(successes, eligible, known)
@@ -152,10 +153,12 @@ def _row(summary: dict[str, Any], run: Path) -> Row:
 
 
 def _tag(summary: dict[str, Any]) -> str:
-    """What kind of contestant: who saw the ground truth is never called learned."""
+    """What kind of contestant: who saw the ground truth is never called anything else."""
     if summary.get("privileged"):
         return "privileged"
-    return {"random": "random", "scripted": "privileged"}.get(summary["policy"], "learned")
+    name = summary["policy"]
+    ours = name.startswith(OWN_PREFIX) and ".py" not in name  # a stranger's tae-joint.py keeps its ending
+    return {"random": "random", "scripted": "privileged"}.get(name, "learned" if ours else "submitted")
 
 
 def published_rows() -> list[Row]:

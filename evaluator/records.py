@@ -2,6 +2,7 @@
 
 ``answers-0001.jsonl`` holds what the policy answered, ``outcomes-0001.jsonl`` what the simulator did with it. A process
 that was killed leaves at most one torn line at the end of its segments; the next process starts segments of its own.
+A line is ``[checksum,{...}]``: a digit that changed on the disk must not become a result.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import time
+import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -79,7 +81,7 @@ class Journal:
         StorageError
             The disk is full; rows written before stay readable.
         """
-        payload = b"".join(json.dumps(row, separators=(",", ":"), default=_plain).encode() + b"\n" for row in rows)
+        payload = b"".join(map(_line, rows))
         if not payload:
             return
         with storage_errors(self.path):
@@ -115,6 +117,20 @@ def _plain(value: Any) -> Any:
     return value.item()
 
 
+def _line(row: dict[str, Any]) -> bytes:
+    content = json.dumps(row, separators=(",", ":"), default=_plain).encode()
+    return b"[%d,%b]\n" % (zlib.crc32(content), content)
+
+
+def _row(line: bytes) -> dict[str, Any]:
+    """Inverse of ``_line``, or a ValueError."""
+    checksum, _, content = line[1:-1].partition(b",")
+    if b"[%d,%b]" % (zlib.crc32(content), content) != line:
+        raise ValueError(f"the checksum is not {checksum!r}")
+    row: dict[str, Any] = json.loads(content)
+    return row
+
+
 def read_journal(folder: Path, name: str) -> Iterator[tuple[int, dict[str, Any]]]:
     """Segment number and content of every whole line, in the order of writing.
 
@@ -128,7 +144,7 @@ def read_journal(folder: Path, name: str) -> Iterator[tuple[int, dict[str, Any]]
         *lines, torn = path.read_bytes().split(b"\n")
         for number, line in enumerate(lines, 1):
             try:
-                row = json.loads(line)
+                row = _row(line)
             except ValueError as error:
                 if number == len(lines) and not torn:
                     break  # a power cut may leave rubbish instead of a torn line

@@ -251,17 +251,25 @@ def load_list(task: str, split: str = "test", version: str | None = None) -> Sce
             hint="use a version that is there, or restore it: git checkout -- manifests",
             path=str(path),
         )
-    content = json.loads(path.read_text(encoding="utf-8"))
-    entry = content["lists"].get(f"{task}/{split}")
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        lists, version = dict(content["lists"]), str(content["version"])
+    except (ValueError, KeyError, TypeError):
+        raise IntegrityError(
+            f"scenario manifest {path} cannot be read",
+            hint="restore it from the repository: git checkout -- manifests",
+            path=str(path),
+        ) from None
+    entry = lists.get(f"{task}/{split}")
     if entry is None:
         raise InputError(
             f"there is no {split!r} list of {task}",
-            hint=f"the manifest has: {', '.join(content['lists'])}",
+            hint=f"the manifest has: {', '.join(lists)}",
             task=task,
             split=split,
         )
     scenarios = _read(path.parent / entry["file"], entry["sha256"], task, split)
-    return ScenarioList(task, split, content["version"], entry["sha256"], scenarios)
+    return ScenarioList(task, split, version, entry["sha256"], scenarios)
 
 
 def _read(path: Path, sha256: str, task: str, split: str) -> tuple[Scenario, ...]:

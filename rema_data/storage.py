@@ -22,7 +22,20 @@ _STORAGE = {
     errno.EACCES: "the folder may not be written",
     errno.EPERM: "the folder may not be written",
     errno.EIO: "the disk reports an input/output error",
+    errno.EFBIG: "the file would be larger than is allowed here",
+    errno.EEXIST: "a file of that name is in the way",
+    errno.ENOTDIR: "a part of the path is a file, not a folder",
+    errno.EISDIR: "there is a folder of that name",
+    errno.ENOENT: "the folder cannot be created",
+    errno.ENAMETOOLONG: "the name is too long",
+    errno.ELOOP: "the path is a circle of links",
 }
+_HINTS = {
+    errno.ENOSPC: "free some space or choose another folder, then run the same command again: it resumes",
+    errno.EDQUOT: "free some space or choose another folder, then run the same command again: it resumes",
+    errno.EFBIG: "raise the limit (`ulimit -f`), then run the same command again: it resumes",
+}
+_OTHER_HINT = "choose another folder, or mend this one, then run the same command again"
 
 
 def rema_home() -> Path:
@@ -38,7 +51,7 @@ def storage_errors(path: Path) -> Iterator[None]:
     Raises
     ------
     StorageError
-        The disk is full or may not be written. Other ``OSError`` pass through.
+        The disk is full or may not be written, or the path cannot be one. Other ``OSError`` pass through.
     """
     try:
         yield
@@ -49,7 +62,7 @@ def storage_errors(path: Path) -> Iterator[None]:
             raise
         raise StorageError(
             f"cannot write {path}: {_STORAGE[error.errno]}",
-            hint="free some space or choose another folder, then run the same command again: it resumes",
+            hint=_HINTS.get(error.errno, _OTHER_HINT),
             path=str(path),
             errno=error.errno,
         ) from error

@@ -19,6 +19,7 @@ _STYLES = {"published": "dim", "privileged": "magenta", "random": "blue"}
 _ELSEWHERE = ("task", "protocol", "errors")  # in the title, and among the failures
 _NUMBERS = ("k/n", "rate %", "z")
 _NAME_WIDTH = 24
+_NARROW = 80
 
 
 def print_board(rows: Sequence[Row]) -> None:
@@ -28,18 +29,19 @@ def print_board(rows: Sequence[Row]) -> None:
         console.print("no runs: score a policy with `rema evaluate`", markup=False)
         return
     for (task, protocol), group in groupby(rows, key=lambda row: (row.task, row.protocol)):
-        console.print(_table(f"{task}, {protocol}", list(group)))
+        console.print(_table(f"{task}, {protocol}", list(group), console.width))
     for remark in remarks(rows):
         console.print(Text(remark, style="dim"))
 
 
-def _table(title: str, rows: Sequence[Row]) -> Table:
-    """One task; columns in which every cell is empty are left out."""
+def _table(title: str, rows: Sequence[Row], width: int) -> Table:
+    """One task; left out are columns in which every cell is empty, and two on a narrow terminal."""
     lines = [dict(zip(COLUMNS, cells(row), strict=True)) for row in rows]
     for row, line in zip(rows, lines, strict=True):
         lost = f"{row.infra_errors} not measured" if row.infra_errors else ""
         line["failures"] = "; ".join(part for part in (lost, line["failures"]) if part)
-    shown = [name for name in COLUMNS if name not in _ELSEWHERE and any(line[name] for line in lines)]
+    left_out = (*_ELSEWHERE, "z", "failures") if width < _NARROW else _ELSEWHERE
+    shown = [name for name in COLUMNS if name not in left_out and any(line[name] for line in lines)]
     table = Table(
         title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1)
     )

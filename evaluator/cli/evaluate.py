@@ -23,7 +23,7 @@ __all__ = ["evaluate"]
 @click.option("--split", type=click.Choice(["test", "val"]), default="test", show_default=True)
 @click.option("--output", type=click.Path(path_type=Path), help="Run folder.  [default: runs/POLICY-TASK-PROTOCOL]")
 @click.option("--device", default="cpu", show_default=True, help="Handed to the policy, such as cuda:0.")
-@click.option("--batch-size", type=click.IntRange(min=1), default=64, show_default=True, help="Observations a call.")
+@click.option("--batch-size", type=click.IntRange(1, 4096), default=64, show_default=True, help="Observations a call.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary object alone.")
 def evaluate(
     policy: str,

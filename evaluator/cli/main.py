@@ -6,13 +6,21 @@ Exit codes: 0 ok, 1 bug, 2 usage or bad input, 3 submission invalid, 4 policy fa
 
 from __future__ import annotations
 
+import errno
 import importlib
 import importlib.metadata
+import io
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
 from typing import Any
 
 import click
 
-from rema_data.errors import RemaError
+from rema_data.errors import InputError, RemaError
 
 __all__ = ["VERBS", "cli"]
 
@@ -44,16 +52,53 @@ class _Verbs(click.Group):
             formatter.write_dl(list(VERBS.items()))
 
     def invoke(self, ctx: click.Context) -> Any:
+        _prepare_streams()
         try:
-            return super().invoke(ctx)
+            with _stop_signals():
+                return super().invoke(ctx)
         except RemaError as error:
             click.echo(f"rema: {error.message}", err=True)
             if error.hint:
                 click.echo(error.hint, err=True)
             ctx.exit(error.exit_code)
+        except OSError as error:
+            if error.errno == errno.EPIPE:
+                raise  # whoever read our output has gone: click leaves without a word
+            place = "" if error.filename is None else f": {error.filename}"
+            click.echo(f"rema: the system refused: {error.strerror or error}{place}", err=True)
+            ctx.exit(InputError.exit_code)
         except KeyboardInterrupt:
             click.echo("\nrema: interrupted; run the same command again to resume", err=True)
             ctx.exit(INTERRUPTED)
+
+
+def _prepare_streams() -> None:
+    """Let a character that the terminal lacks cost its look and not the run."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+@contextmanager
+def _stop_signals() -> Iterator[None]:
+    """Ctrl-C, ``kill`` and a closed terminal all interrupt, once: cleaning up takes seconds and is not cut short."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        for kind in kinds:
+            signal.signal(kind, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    kinds = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+    kinds = [kind for kind in kinds if signal.getsignal(kind) is not signal.SIG_IGN]  # nohup stays nohup
+    before = {kind: signal.signal(kind, interrupt) for kind in kinds}
+    try:
+        yield
+    finally:
+        for kind, handler in before.items():
+            signal.signal(kind, handler)
 
 
 def _print_version(ctx: click.Context, parameter: click.Parameter, wanted: bool) -> None:

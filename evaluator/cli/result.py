@@ -27,7 +27,7 @@ def print_result(summary: dict[str, Any], folder: Path, as_json: bool) -> None:
     console.print()
     console.print(_facts(summary))
     if summary["failures"]:
-        console.print(_failures(summary))
+        console.print(_failures(summary, "#" if console.options.ascii_only else "█"))
     console.print(_seconds(summary))
     console.print(Text(f"run folder: {folder}"), soft_wrap=True)
 
@@ -61,16 +61,16 @@ def _facts(summary: dict[str, Any]) -> Table:
     return table
 
 
-def _failures(summary: dict[str, Any]) -> Table:
+def _failures(summary: dict[str, Any], block: str) -> Table:
     table = Table(box=None, padding=(0, 1), title="why episodes failed", title_justify="left", title_style="dim")
     table.add_column(justify="right", header_style="dim")
-    table.add_column()
+    table.add_column(no_wrap=True, overflow="crop")
     table.add_column(justify="right")
     table.add_column(justify="right", style="dim")
     counts = sorted(summary["failures"].items(), key=lambda item: (-item[1], item[0]))
     largest = max((count for _, count in counts), default=0) or 1
     for label, count in counts:
-        bar = Text("█" * max(1, round(_BAR_WIDTH * count / largest)) if count else "", style="red")
+        bar = Text(block * max(1, round(_BAR_WIDTH * count / largest)) if count else "", style="red")
         share = f"{100 * count / summary['eligible']:.1f} %" if summary["eligible"] else ""
         table.add_row(Text(label), bar, f"{count:,}", share)
     table.show_header = False

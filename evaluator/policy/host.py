@@ -35,6 +35,8 @@ class PolicyLimits:
         From the start of the process until the constructor returned.
     batch_s : float
         For one batch.
+    single_s : float
+        For one observation of a batch that failed, at most ``batch_s``.
     log_head_bytes, log_tail_bytes : int
         Kept of the beginning and of the end of what the policy prints.
     retried_batches : int
@@ -46,6 +48,7 @@ class PolicyLimits:
 
     start_s: float = 120.0
     batch_s: float = 60.0
+    single_s: float = 20.0
     log_head_bytes: int = 256 << 10
     log_tail_bytes: int = 64 << 10
     retried_batches: int = 3
@@ -63,7 +66,7 @@ class PolicyHost:
         Handed to the policy as it is.
     limits : PolicyLimits
     log : Path or None
-        Where the policy's output is written when the host closes; None keeps it in memory (``output``).
+        Where the policy's output is appended when the host closes; None keeps it in memory (``output``).
 
     Raises
     ------
@@ -89,6 +92,7 @@ class PolicyHost:
         self._checkpoint = check_checkpoint(checkpoint)
         self._device = device
         self._limits = limits or PolicyLimits()
+        self._log = log
         self._output = CappedOutput(log, self._limits.log_head_bytes, self._limits.log_tail_bytes)
         self._child: ChildProcess | None = None
         self._privileged = False
@@ -144,7 +148,7 @@ class PolicyHost:
         if len(batch) == 0:
             return []
         shown = situations if self._privileged else None
-        answers = self._ask(batch, shown)
+        answers = self._ask(batch, shown, self._limits.batch_s)
         if isinstance(answers, list):
             self._failed_batches = 0
             return answers
@@ -164,9 +168,10 @@ class PolicyHost:
     def _ask_one_by_one(self, batch: ObservationBatch, shown: tuple[Situation, ...] | None) -> list[Answer]:
         """Find out which observation a failed batch is to be charged to."""
         answers: list[Answer] = []
+        single_s = min(self._limits.batch_s, self._limits.single_s)
         deaths = 0
         for n in range(len(batch)):
-            single = self._ask(batch.one(n), None if shown is None else (shown[n],))
+            single = self._ask(batch.one(n), None if shown is None else (shown[n],), single_s)
             answers += single if isinstance(single, list) else [single]
             lost = isinstance(single, PolicyFault) and single.reason != FaultReason.EXCEPTION
             deaths = deaths + 1 if lost else 0
@@ -174,8 +179,10 @@ class PolicyHost:
                 return answers + [single] * (len(batch) - len(answers))
         return answers
 
-    def _ask(self, batch: ObservationBatch, shown: tuple[Situation, ...] | None) -> list[Answer] | PolicyFault:
-        """Answers of a batch, or the fault that left it without any."""
+    def _ask(
+        self, batch: ObservationBatch, shown: tuple[Situation, ...] | None, seconds: float
+    ) -> list[Answer] | PolicyFault:
+        """Answers of a batch within ``seconds``, or the fault that left it without any."""
         if self._child is None:
             try:
                 self._start()
@@ -186,11 +193,11 @@ class PolicyHost:
         self._number += 1
         try:
             header, arrays = self._child.ask(
-                batch_frame(self._number, batch, shown), self._limits.batch_s, len(batch) * 3 * _LONGEST_NUMBER
+                batch_frame(self._number, batch, shown), seconds, len(batch) * 3 * _LONGEST_NUMBER
             )
         except ChildTimeout:
             self._drop()
-            return PolicyFault(FaultReason.TIMEOUT, f"no answer within {self._limits.batch_s:g} s")
+            return PolicyFault(FaultReason.TIMEOUT, f"no answer within {seconds:g} s")
         except ChildDeath as death:
             self._drop()
             return PolicyFault(FaultReason.DIED, str(death))
@@ -222,15 +229,17 @@ class PolicyHost:
         except (ChildDeath, ChildNoise) as death:
             raise self._refusal(f"{death} while it started") from None
         if header.get("ok") is not True:
-            message = str(header.get("message", "could not be loaded"))
-            raise self._refusal(message, str(header.get("where", "")), str(header.get("traceback", "")))
+            message = _printable(header.get("message", "could not be loaded"))
+            raise self._refusal(message, _printable(header.get("where", "")), _printable(header.get("traceback", "")))
         self._privileged = header.get("privileged") is True
 
     def _refusal(self, message: str, where: str = "", trace: str = "") -> SubmissionError:
         self._drop()
         place = f" ({where})" if where else ""
-        printed = trace or self._output.text()[-_OUTPUT_SHOWN:].strip()
+        printed = trace or _printable(self._output.text()[-_OUTPUT_SHOWN:]).strip()
         hint = f"mend {where or self._spec.path} and run the same command again"
+        if self._log is not None and self._output.total:
+            hint = f"what it printed is in {self._log}\n{hint}"
         return SubmissionError(
             f"policy {self._spec.name} cannot be used: {message}{place}",
             hint=f"{printed}\n{hint}" if printed else hint,
@@ -255,5 +264,11 @@ def _reported_fault(header: dict[str, Any]) -> PolicyFault:
     known = (FaultReason.EXCEPTION, FaultReason.SHAPE, FaultReason.DTYPE)
     reason = header.get("reason")
     where = header.get("where")
-    detail = str(header.get("message", "")) + (f" ({where})" if where else "")
+    detail = _printable(header.get("message", "")) + (f" ({_printable(where)})" if where else "")
     return PolicyFault(FaultReason(reason) if reason in known else FaultReason.PROTOCOL, detail)
+
+
+def _printable(said: object) -> str:
+    """What a policy said, fit for a terminal and for a record: no control characters, no lone surrogates, not long."""
+    text = str(said)[:_OUTPUT_SHOWN].encode(errors="backslashreplace").decode()
+    return "".join(c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in text)

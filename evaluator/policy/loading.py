@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rema_data.errors import InputError, MissingFileError
 
-__all__ = ["BUILT_INS", "PolicySpec", "check_checkpoint", "digest", "resolve"]
+__all__ = ["BUILT_INS", "OWN_PREFIX", "PolicySpec", "check_checkpoint", "digest", "resolve"]
 
 BUILT_INS: dict[str, str] = {
     "random": "random_policy.py:RandomPolicy",
@@ -18,6 +18,8 @@ BUILT_INS: dict[str, str] = {
 }
 """Built-in names: file of the installed ``baselines`` package, and class."""
 
+OWN_PREFIX = "tae-"
+"""Names that begin like this are those of the learned baselines."""
 _DEFAULT_CLASS = "Policy"
 
 
@@ -65,9 +67,9 @@ def resolve(reference: str) -> PolicySpec:
     if not path.is_file():
         raise MissingFileError(f"policy file {path} does not exist", hint="check the path", path=path)
     stem = re.sub(r"[^A-Za-z0-9_.-]", "_", path.stem)
-    if stem in BUILT_INS:
-        stem = f"{stem}.py"  # a stranger's random.py must not pass for the built-in
     name = stem if class_name == _DEFAULT_CLASS else f"{stem}-{class_name}"
+    if stem in BUILT_INS or name.startswith(OWN_PREFIX):
+        name = name.replace(stem, f"{stem}.py", 1)  # a stranger's random.py must not pass for the built-in
     return PolicySpec(name, path.resolve(), class_name)
 
 

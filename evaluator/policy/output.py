@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import logging
 import os
 import select
 import threading
@@ -12,6 +13,7 @@ from rema_data.storage import write_atomic
 
 __all__ = ["CappedOutput"]
 
+_LOG = logging.getLogger(__name__)
 _CHUNK = 1 << 20
 _POLL_S = 0.2
 
@@ -22,7 +24,8 @@ class CappedOutput:
     Parameters
     ----------
     path : Path or None
-        The log file; None keeps the text in memory only.
+        The log file, created if anything is printed; None keeps the text in memory only. What it held already (an
+        earlier step, or a run that is resumed) stays before it, up to one ``head`` and ``tail`` of it.
     head, tail : int
         Bytes kept of the beginning and of the end.
     """
@@ -82,8 +85,13 @@ class CappedOutput:
             stop.set()
             thread.join(timeout=5 * _POLL_S)
         self._threads.clear()
-        if self._path is not None:
-            write_atomic(self._path, self.text())
+        if self._path is None or not self._total:
+            return
+        try:
+            earlier = self._path.read_bytes()[-self._head_limit - self._tail_limit :] if self._path.exists() else b""
+            write_atomic(self._path, earlier + self.text().encode())
+        except OSError as error:  # the log is a help, and no reason to lose a run
+            _LOG.warning("what the policy printed is lost: %s", error)
 
     @property
     def total(self) -> int:

@@ -18,9 +18,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import psutil
 
 import evaluator
+from evaluator.policy.guard import Guard, end_family
 from evaluator.policy.output import CappedOutput
 from evaluator.policy.wire import WireError, frame_parts, read_frame
 
@@ -30,6 +30,7 @@ _PIPE_BYTES = 1 << 20
 _REPLY_HEADER = 1 << 20
 _GOODBYE_S = 2.0
 _POLL_S = 0.005
+_SLICE_S = 1.0
 _KEPT_VARIABLES = (
     "PATH", "HOME", "USER", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "VIRTUAL_ENV", "CONDA_PREFIX", "PYTHONPATH",
     "LD_LIBRARY_PATH", "CUDA_HOME", "CUDA_VISIBLE_DEVICES", "HIP_VISIBLE_DEVICES", "OMP_NUM_THREADS", "MKL_NUM_THREADS",
@@ -48,6 +49,25 @@ class ChildDeath(Exception):
 
 class ChildNoise(Exception):
     """The process wrote what is no reply."""
+
+
+class _Budget:
+    """Seconds to wait, counted in slices: a judge that was suspended meanwhile (Ctrl-Z) charges one slice at most."""
+
+    def __init__(self, seconds: float) -> None:
+        self._left = seconds
+
+    def wait(self, read: int | None = None, write: int | None = None) -> None:
+        """Return when the end can be read (written), or raise ChildTimeout."""
+        readable, writable = ([] if end is None else [end] for end in (read, write))
+        while True:
+            start, allowed = time.monotonic(), max(0.0, min(self._left, _SLICE_S))
+            ready = any(select.select(readable, writable, [], allowed))
+            self._left -= min(time.monotonic() - start, _SLICE_S)
+            if ready:
+                return
+            if self._left <= 0:
+                raise ChildTimeout
 
 
 class ChildProcess:
@@ -75,6 +95,11 @@ class ChildProcess:
                 cwd=self._folder,
                 start_new_session=True,
             )
+            try:
+                self._guard = Guard(self._process.pid, self._folder)
+            except BaseException:
+                end_family(self._process, self._folder)
+                raise
         except BaseException:
             os.close(self._requests)
             os.close(self._replies)
@@ -108,38 +133,32 @@ class ChildProcess:
         ChildNoise
             When it replied with something else than a frame with at most ``reply_bytes`` of arrays.
         """
-        deadline = time.monotonic() + seconds
+        budget = _Budget(seconds)
         try:
             for part in parts:
-                self._write(memoryview(part), deadline)
-            return read_frame(lambda count: self._read(count, deadline), _REPLY_HEADER, reply_bytes)
+                self._write(memoryview(part), budget)
+            return read_frame(lambda count: self._read(count, budget), _REPLY_HEADER, reply_bytes)
         except (BrokenPipeError, EOFError) as error:
             raise ChildDeath(self._obituary()) from error
         except WireError as error:
             raise ChildNoise(f"the reply cannot be read: {error}") from error
 
-    def _write(self, view: memoryview, deadline: float) -> None:
+    def _write(self, view: memoryview, budget: _Budget) -> None:
         while view:
-            self._wait(deadline, write=self._requests)
+            budget.wait(write=self._requests)
             with contextlib.suppress(BlockingIOError):
                 view = view[os.write(self._requests, view[:_PIPE_BYTES]) :]
 
-    def _read(self, count: int, deadline: float) -> bytearray:
+    def _read(self, count: int, budget: _Budget) -> bytearray:
         data = bytearray()
         while len(data) < count:
-            self._wait(deadline, read=self._replies)
+            budget.wait(read=self._replies)
             with contextlib.suppress(BlockingIOError):
                 chunk = os.read(self._replies, count - len(data))
                 if not chunk:
                     raise EOFError
                 data += chunk
         return data
-
-    def _wait(self, deadline: float, read: int | None = None, write: int | None = None) -> None:
-        left = deadline - time.monotonic()
-        readable, writable = ([] if end is None else [end] for end in (read, write))
-        if left <= 0 or not any(select.select(readable, writable, [], left)):
-            raise ChildTimeout
 
     def _obituary(self) -> str:
         found = self._await_end(_GOODBYE_S)
@@ -162,26 +181,17 @@ class ChildProcess:
         """Say goodbye, then end the process and everything that it started."""
         with contextlib.suppress(OSError, ChildTimeout):
             for part in frame_parts({"op": "close"}, {}):
-                self._write(memoryview(part), time.monotonic() + _GOODBYE_S)
+                self._write(memoryview(part), _Budget(_GOODBYE_S))
             self._await_end(_GOODBYE_S)
         self.kill()
 
     def kill(self) -> None:
         """End the process, its group and its descendants at once."""
-        descendants: list[psutil.Process] = []
-        with contextlib.suppress(psutil.Error):
-            descendants = psutil.Process(self._process.pid).children(recursive=True)
-        # The leader was not waited for yet, so the number of the group is still its own.
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(self._process.pid, signal.SIGKILL)
-        for descendant in descendants:
-            with contextlib.suppress(psutil.Error):
-                descendant.kill()
-        self._process.wait()
+        end_family(self._process, self._folder)
+        self._guard.dismiss()
         for end in (self._requests, self._replies):
             with contextlib.suppress(OSError):
                 os.close(end)
-        shutil.rmtree(self._folder, ignore_errors=True)
 
 
 def _environment(folder: Path) -> dict[str, str]:

@@ -59,7 +59,7 @@ class Backend:
     policy_digest : callable
         (policy, checkpoint) to sha256.
     open_policy : callable
-        (policy, checkpoint, device) to a context manager that yields the policy's process.
+        (policy, checkpoint, device, log file) to a context manager that yields the policy's process.
     """
 
     observe: Callable[[Situation], Observation]
@@ -69,7 +69,7 @@ class Backend:
     fingerprint: str
     protocol_hash: Callable[[str, str], str]
     policy_digest: Callable[[PolicySpec, Path | None], str]
-    open_policy: Callable[[PolicySpec, Path | None, str], AbstractContextManager[PolicyProcess]]
+    open_policy: Callable[[PolicySpec, Path | None, str, Path], AbstractContextManager[PolicyProcess]]
 
 
 def default_backend() -> Backend:
@@ -80,6 +80,9 @@ def default_backend() -> Backend:
     from evaluator.sim.parameters import parameters_hash
     from evaluator.sim.reach import valid_actions
 
+    def open_policy(policy: PolicySpec, checkpoint: Path | None, device: str, log: Path) -> PolicyHost:
+        return PolicyHost(policy, checkpoint, device, log=log)
+
     return Backend(
         observe=observe,
         valid_actions=valid_actions,
@@ -88,7 +91,7 @@ def default_backend() -> Backend:
         fingerprint=FINGERPRINT,
         protocol_hash=protocol_hash,
         policy_digest=digest,
-        open_policy=PolicyHost,
+        open_policy=open_policy,
     )
 
 

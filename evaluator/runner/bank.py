@@ -23,7 +23,7 @@ from rema_data.storage import write_atomic
 
 __all__ = ["Block", "ObservationBank"]
 
-FORMAT = "rema observation bank 1"
+FORMAT = "rema observation bank 2"
 _EE = (2, grid.EE_PIXELS, grid.EE_PIXELS)
 _SCENE = (grid.SCENE_PIXELS, grid.SCENE_PIXELS)
 
@@ -149,14 +149,13 @@ def _encode(block: Block) -> bytes:
     masks = np.packbits(block.masks.reshape(len(block.masks), -1), axis=1)
     raw = b"".join(np.ascontiguousarray(a).tobytes() for a in (block.scenes, block.which, block.depths, masks))
     packed: bytes = pa.Codec("zstd", compression_level=1).compress(raw, asbytes=True)
-    header = {
-        "format": FORMAT,
-        "observations": len(block.scenes),
-        "effectors": len(block.depths),
-        "bytes": len(raw),
-        "sha256": hashlib.sha256(packed).hexdigest(),
-    }
+    sizes = {"observations": len(block.scenes), "effectors": len(block.depths), "bytes": len(raw)}
+    header = {"format": FORMAT, **sizes, "sha256": _checksum(sizes, packed)}
     return json.dumps(header).encode() + b"\n" + packed
+
+
+def _checksum(sizes: dict[str, int], packed: bytes) -> str:
+    return hashlib.sha256(json.dumps(sizes, sort_keys=True).encode() + b"\n" + packed).hexdigest()
 
 
 def _payload(path: Path) -> tuple[dict[str, Any], bytes] | None:
@@ -164,7 +163,8 @@ def _payload(path: Path) -> tuple[dict[str, Any], bytes] | None:
     try:
         head, _, packed = path.read_bytes().partition(b"\n")
         header = json.loads(head)
-        if header["format"] == FORMAT and header["sha256"] == hashlib.sha256(packed).hexdigest():
+        sizes = {name: header[name] for name in ("observations", "effectors", "bytes")}
+        if header["format"] == FORMAT and header["sha256"] == _checksum(sizes, packed):
             return header, packed
     except (OSError, ValueError, KeyError, TypeError):
         pass

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 __all__ = ["ORDERS", "PROTOCOLS", "EvaluationConfig", "EvaluationResult", "ProgressSink", "Silent"]
 
 PROTOCOLS = ("conditional", "end-to-end")
+MAX_BATCH = 4096
+"""Observations in one question: about a gigabyte on either side."""
 ORDERS = ("shuffled", "forward", "reverse")
 
 
@@ -75,6 +77,8 @@ class EvaluationConfig:
             if value is not None and value < 1:
                 flag = name.replace("_", "-")
                 raise InputError(f"--{flag} {value} is not a positive number", hint="give 1 or more", field=name)
+        if self.batch_size > MAX_BATCH:
+            raise InputError(f"--batch-size {self.batch_size} is too large", hint=f"give {MAX_BATCH} or less")
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ import platform
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -23,6 +23,8 @@ from rema_data.storage import storage_errors, write_atomic
 __all__ = ["RunFolder"]
 
 RUN_FORMAT = 1
+_FILES = ("run.json", "episodes.parquet", "timings.parquet", "summary.json", "policy.log")
+_HEADER = {"identity": dict, "policy": dict, "episodes": int, "segments": list}
 _PACKAGES = ("rema", "numpy", "pybullet", "torch", "pyarrow", "scipy")
 
 
@@ -56,6 +58,9 @@ class RunFolder:
     def locked(path: Path, identity: Mapping[str, Any], episodes: int) -> Iterator[RunFolder]:
         """Open the folder of a run for this process alone, creating it where it is missing.
 
+        A folder without records belongs to nobody: it is taken over. What a killed process left half-written is
+        swept away.
+
         Parameters
         ----------
         path : Path
@@ -83,6 +88,7 @@ class RunFolder:
                     path=str(path),
                 ) from error
         try:
+            _sweep(path)
             folder = RunFolder(path, _read_header(path, identity))
             folder._check(identity, episodes)
             folder.save()
@@ -92,6 +98,9 @@ class RunFolder:
 
     def _check(self, identity: Mapping[str, Any], episodes: int) -> None:
         wanted = json.loads(json.dumps(dict(identity)))
+        if not any(self.records.glob("*.jsonl")):
+            # Nothing was recorded (the policy did not import, say): what comes now may be another run.
+            self.header.update(identity=wanted, policy={}, episodes=0)
         for field, value in wanted.items():
             recorded = self.header["identity"].get(field)
             if recorded != value:
@@ -138,9 +147,21 @@ class RunFolder:
         """Write ``run.json`` atomically."""
         self.write("run.json", json.dumps(self.header, indent=2) + "\n")
 
+    @property
+    def policy_log(self) -> Path:
+        """Where the policy's prints are kept; missing if there were none."""
+        return self.path / "policy.log"
+
     def write(self, name: str, data: bytes | str) -> None:
         """Write a file of the folder atomically."""
         write_atomic(self.path / name, data)
+
+
+def _sweep(path: Path) -> None:
+    """Remove the temporary files of writers that were killed; the lock says that nobody is writing now."""
+    for name in _FILES:
+        for left in path.glob(f".{name}.*"):
+            left.unlink(missing_ok=True)
 
 
 def _read_header(path: Path, identity: Mapping[str, Any]) -> dict[str, Any]:
@@ -158,8 +179,9 @@ def _read_header(path: Path, identity: Mapping[str, Any]) -> dict[str, Any]:
             "segments": [],
         }
     try:
-        header: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        known = header["format"] == RUN_FORMAT and {"identity", "policy", "episodes", "segments"} <= header.keys()
+        with storage_errors(file):
+            header: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        known = header["format"] == RUN_FORMAT and all(isinstance(header[name], kind) for name, kind in _HEADER.items())
     except (ValueError, KeyError, TypeError):
         known = False
     if not known:
@@ -199,7 +221,7 @@ def _versions() -> dict[str, str]:
 
 def _processor() -> str:
     if sys.platform == "linux":
-        with open("/proc/cpuinfo", encoding="utf-8") as file:
+        with suppress(OSError), open("/proc/cpuinfo", encoding="utf-8") as file:
             for line in file:
                 if line.startswith("model name"):
                     return line.partition(":")[2].strip()
@@ -219,5 +241,8 @@ def _commit() -> dict[str, Any]:
 
 
 def _git(root: Path, *arguments: str) -> str:
-    done = subprocess.run(["git", *arguments], cwd=root, capture_output=True, text=True, timeout=10, check=True)
+    # Without optional locks: looking must not write into the checkout.
+    done = subprocess.run(
+        ["git", "--no-optional-locks", *arguments], cwd=root, capture_output=True, text=True, timeout=10, check=True
+    )
     return done.stdout.strip()

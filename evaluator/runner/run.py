@@ -6,7 +6,7 @@ import json
 import shutil
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from evaluator.engines import InfraError, default_workers
@@ -126,6 +126,8 @@ class _Run:
                 check_faults(self.ledger)
             except PolicyFailureError as error:
                 failed = error
+                if self.folder.policy_log.exists():
+                    failed.hint += f"\nwhat it printed is in {self.folder.policy_log}"
             self._write_tables()
         finally:
             self.ledger.close()
@@ -180,13 +182,18 @@ class _Run:
         shared = step == 0 or not self.plan.end_to_end
         root = rema_home() / "observations" if shared else self.own_bank
         bank = ObservationBank(root, backend.observe, backend.observation_hash)
-        with self._timed("observe"):
-            observe_batches(bank, wanted, self.progress)
-        with self._timed("infer"), backend.open_policy(config.policy, config.checkpoint, config.device) as policy:
-            self._begin()
-            self.folder.set_policy(privileged=policy.privileged)
-            valid = backend.valid_actions(config.task, step)
-            infer_batches(policy, bank, wanted, valid, self.ledger, self.progress)
+        log = self.folder.policy_log
+        # Started before anything is observed: a policy that cannot be loaded is to be known at once.
+        with ExitStack() as stack:
+            with self._timed("infer"):
+                policy = stack.enter_context(backend.open_policy(config.policy, config.checkpoint, config.device, log))
+            with self._timed("observe"):
+                observe_batches(bank, wanted, self.progress)
+            with self._timed("infer"):
+                self._begin()
+                self.folder.set_policy(privileged=policy.privileged)
+                valid = backend.valid_actions(config.task, step)
+                infer_batches(policy, bank, wanted, valid, self.ledger, self.progress)
 
     def _write_tables(self) -> None:
         table = episodes_table(self.scenarios, self.config.episodes, self.plan.steps, self.ledger)

@@ -30,8 +30,10 @@ def test_the_published_rows_are_the_papers() -> None:
         ({}, "random"),
         ({"policy": "scripted", "privileged": True}, "privileged"),
         ({"policy": "cheat", "privileged": True}, "privileged"),
-        ({"policy": "joint"}, "learned"),
-        ({"policy": "random.py"}, "learned"),
+        ({"policy": "joint"}, "submitted"),
+        ({"policy": "random.py"}, "submitted"),
+        ({"policy": "tae-joint"}, "learned"),
+        ({"policy": "tae-joint.py"}, "submitted"),
     ],
 )
 def test_tags(write_run: WriteRun, changes: dict[str, object], tag: str) -> None:  # noqa: F811

@@ -56,6 +56,18 @@ def test_damage_in_the_middle_is_an_error(tmp_path: Path) -> None:
         Ledger(tmp_path, 2)
 
 
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [("answers", b"33001", b"33002"), ("outcomes", b"0.3,", b"0.4,"), ("outcomes", b'"index"', b'"indem"')],
+)
+def test_a_changed_digit_is_an_error(tmp_path: Path, name: str, old: bytes, new: bytes) -> None:
+    fill(tmp_path, [0, 1, 2])
+    path = tmp_path / f"{name}-0001.jsonl"
+    path.write_bytes(path.read_bytes().replace(old, new, 1))
+    with pytest.raises(IntegrityError, match=r"line \d is damaged"):
+        Ledger(tmp_path, 2)
+
+
 def test_second_outcome_is_compared(tmp_path: Path) -> None:
     fill(tmp_path, [0])
     ledger = Ledger(tmp_path, 2)

@@ -70,6 +70,13 @@ def test_a_manifest_has_one_version(fake_home: Path) -> None:
     assert json.loads(path.read_text())["version"] == "v1"
 
 
+@pytest.mark.parametrize("text", ["{", "{}", "[]"])
+def test_a_damaged_manifest_is_named(fake_home: Path, text: str) -> None:
+    (fake_home / "manifests" / "scenarios" / VERSION / "manifest.json").write_text(text)
+    with pytest.raises(IntegrityError, match="manifest"):
+        load_list("grasp")
+
+
 def test_lists_that_cannot_be_written() -> None:
     with pytest.raises(InputError):
         encode_list([])

@@ -28,9 +28,16 @@ def test_the_table(write_run: WriteRun) -> None:
     assert lines[0].startswith("grasp, conditional")
     order = [next(n for n, line in enumerate(lines) if name in line) for name in ("joint", "my_policy", "random")]
     assert order == sorted(order)
-    assert "56/1000" in result.stdout and "slipped" in result.stdout and "learned" in result.stdout
+    assert "56/1000" in result.stdout and "slipped" in result.stdout and "submitted" in result.stdout
     assert "push, conditional" not in result.stdout
     assert "Its scenes and its simulator are not" in " ".join(result.stdout.split())
+
+
+def test_narrow_terminals_keep_every_number_whole(write_run: WriteRun, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    result = board(write_run("a"))
+    assert "56/1000" in result.stdout and "missed" not in result.stdout and "…" not in result.stdout
+    assert all(line.strip() for line in result.stdout.splitlines()[2:8])
 
 
 def test_runs_are_found_below_runs(write_run: WriteRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

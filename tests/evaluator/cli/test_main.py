@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
+import signal
 import subprocess
 import sys
 
@@ -35,3 +37,41 @@ def test_help_loads_nothing_heavy() -> None:
         "sys.exit(f'loaded {heavy}' if heavy else 0)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "words"),
+    [
+        (OSError(errno.EMFILE, "Too many open files"), 2, "rema: the system refused: Too many open files"),
+        (PermissionError(errno.EACCES, "Permission denied", "x.pt"), 2, "Permission denied: x.pt"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+    ],
+)
+def test_errors_become_sentences(monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int, words: str) -> None:
+    @click.command()
+    def evaluate() -> None:
+        raise error
+
+    monkeypatch.setattr(importlib.import_module("evaluator.cli.evaluate"), "evaluate", evaluate)
+    result = CliRunner().invoke(cli, ["evaluate"])
+    assert result.exit_code == code and words in result.stderr and "Traceback" not in result.stderr
+
+
+@pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_stop_signals_interrupt_once_and_tidily(kind: signal.Signals) -> None:
+    code = (
+        "import click, os, signal, time, importlib\n"
+        "from evaluator.cli.main import cli\n"
+        "@click.command()\n"
+        "def evaluate():\n"
+        "    try:\n"
+        f"        os.kill(os.getpid(), {int(kind)}); time.sleep(9)\n"
+        "    finally:\n"
+        f"        os.kill(os.getpid(), {int(kind)}); print('tidied', flush=True)\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "importlib.import_module('evaluator.cli.evaluate').evaluate = evaluate\n"
+        "cli(['evaluate'], prog_name='rema')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (130, "tidied\n")
+    assert "interrupted" in done.stderr and "Traceback" not in done.stderr

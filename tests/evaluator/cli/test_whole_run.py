@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +14,19 @@ from click.testing import CliRunner, Result
 
 import evaluator.runner.run
 from evaluator.cli.main import cli
-from evaluator.policy import PolicyHost, digest
+from evaluator.policy import digest
 from evaluator.protocol import protocol_hash
+from evaluator.runner import default_backend
 from tests.evaluator.fakes import fake_backend
 
 
 @pytest.fixture
 def world(fake_home: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    parts: dict[str, Any] = {"open_policy": PolicyHost, "policy_digest": digest, "protocol_hash": protocol_hash}
+    parts: dict[str, Any] = {
+        "open_policy": default_backend().open_policy,
+        "policy_digest": digest,
+        "protocol_hash": protocol_hash,
+    }
     monkeypatch.setattr(evaluator.runner.run, "default_backend", lambda: fake_backend(**parts))
     monkeypatch.chdir(fake_home)
     return fake_home
@@ -65,7 +73,7 @@ def test_a_policy_with_a_few_faults_is_scored(world: Path, monkeypatch: pytest.M
     assert summary["failures"]["policy_error"] == summary["policy_errors"]
     monkeypatch.delenv("REMA_MANIFESTS")  # the fake lists have no published rates beside them
     board = rema("leaderboard", "runs/mine-grasp-conditional")
-    assert board.exit_code == 0 and "mine" in board.stdout and "learned" in board.stdout
+    assert board.exit_code == 0 and "mine" in board.stdout and "submitted" in board.stdout
 
 
 @pytest.mark.parametrize(
@@ -91,3 +99,49 @@ def test_a_changed_policy_does_not_continue_a_run(world: Path) -> None:
     Path("mine.py").write_text(code + "return np.tile([30, 30, 2], (len(o.scene), 1))\n")
     result = evaluate("mine.py")
     assert result.exit_code == 2 and "policy_digest" in result.stderr
+
+
+def test_prints_are_kept_and_named(world: Path) -> None:
+    Path("bad.py").write_text(
+        "print('loaded', flush=True)\nclass Policy:\n    def __init__(s, c, d): pass\n"
+        "    def act(s, o): raise ValueError('no \\x1b[2J idea')\n"
+    )
+    result = evaluate("bad.py")
+    log = world / "runs/bad-grasp-conditional/policy.log"
+    assert result.exit_code == 4 and "policy.log" in result.stderr
+    assert log.read_text() == "loaded\n"
+    assert "\x1b[2J" not in result.stderr
+    Path("bad.py").write_text("print('oh', flush=True)\nimport nothing_of_that_name")
+    result = evaluate("bad.py", "--output", "fresh")
+    assert result.exit_code == 3 and "oh" in (world / "fresh/policy.log").read_text()
+    assert "fresh/policy.log" in result.stderr
+    Path("bad.py").write_text("class Police: pass")
+    assert evaluate("bad.py:Police", "--output", "quiet").exit_code == 3
+    assert not (world / "quiet/policy.log").exists()
+
+
+def test_a_mended_policy_may_use_its_folder(world: Path) -> None:
+    Path("mine.py").write_text("import nothing_of_that_name")
+    assert evaluate("mine.py").exit_code == 3
+    Path("mine.py").write_text(
+        "import numpy as np\nclass Policy:\n    def __init__(s, c, d): pass\n"
+        "    def act(s, o): return np.tile([30, 30, 1], (len(o.scene), 1))\n"
+    )
+    assert evaluate("mine.py").exit_code == 0
+
+
+def test_terminal_without_blocks(world: Path) -> None:
+    assert evaluate("random").exit_code == 0
+    summary = (world / "runs/random-grasp-conditional/summary.json").read_text()
+    code = (
+        "import json, sys\nfrom pathlib import Path\nfrom evaluator.cli.result import print_result\n"
+        f"print_result(json.loads({summary!r}), Path('r'), False)"
+    )
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path),
+        "PYTHONIOENCODING": "ascii",
+        "COLUMNS": "60",
+    }
+    said = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, check=True).stdout
+    assert b"####" in said and max(map(len, said.splitlines())) <= 60

@@ -25,6 +25,9 @@ def test_a_file_a_class_and_a_built_in(tmp_path: Path) -> None:
         assert resolve(name).path.is_file()
     (tmp_path / "random.py").write_text("")
     assert resolve(str(tmp_path / "random.py")).name == "random.py"
+    for file, reference in (("tae-joint.py", "tae-joint.py"), ("tae.py", "tae.py:joint")):
+        (tmp_path / file).write_text("")
+        assert ".py" in resolve(str(tmp_path / reference)).name
 
 
 def test_the_suffix_is_suggested(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

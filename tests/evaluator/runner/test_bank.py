@@ -51,7 +51,7 @@ def test_observed_once_and_read_exactly(tmp_path: Path, seen: Counting) -> None:
     assert seen.calls == 2 * len(SITUATIONS)
 
 
-@pytest.mark.parametrize("damage", ["flip", "cut", "empty", "gone"])
+@pytest.mark.parametrize("damage", ["flip", "cut", "empty", "gone", "sizes"])
 def test_damaged_files_are_rebuilt(tmp_path: Path, seen: Counting, damage: str) -> None:
     bank = ObservationBank(tmp_path, seen, "code")
     bank.ensure(SITUATIONS)
@@ -61,7 +61,9 @@ def test_damaged_files_are_rebuilt(tmp_path: Path, seen: Counting, damage: str) 
     if damage == "gone":
         path.unlink()
     else:
-        path.write_bytes({"flip": bytes(data), "cut": bytes(data[:-50]), "empty": b""}[damage])
+        data[-9] ^= 4 * (damage == "sizes")  # whole again: only the head of the file is wrong
+        sizes = bytes(data).replace(b'"observations": 20', b'"observations": 10')
+        path.write_bytes({"flip": bytes(data), "cut": bytes(data[:-50]), "empty": b"", "sizes": sizes}[damage])
     assert same(bank)
     assert seen.calls == 2 * len(SITUATIONS)
     assert not bank.ensure(SITUATIONS)

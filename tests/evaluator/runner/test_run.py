@@ -21,9 +21,11 @@ from evaluator.runner import run_evaluation
 from rema_data.errors import (
     InfrastructureError,
     InputError,
+    IntegrityError,
     PolicyFailureError,
     RunMismatchError,
     StorageError,
+    SubmissionError,
 )
 from tests.evaluator.fakes import FAULTS, FakePolicyProcess, fake_backend, fake_config
 
@@ -248,3 +250,45 @@ def test_more_episodes_than_scenarios(fake_home: Path) -> None:
 def test_values_that_cannot_be(tmp_path: Path, change: dict[str, Any]) -> None:
     with pytest.raises(InputError):
         fake_config(tmp_path, **change)
+
+
+def test_a_folder_without_records_is_taken_over(fake_home: Path) -> None:
+    def refuse(*_: Any) -> Any:
+        raise SubmissionError("policy cannot be used", hint="mend it and run the same command again")
+
+    output = fake_home / "run"
+    with pytest.raises(SubmissionError):
+        run_evaluation(fake_config(output, episodes=50), backend=fake_backend(digest="broken", open_policy=refuse))
+    assert run_evaluation(fake_config(output, episodes=40), backend=fake_backend(digest="mended")).summary["eligible"]
+    with pytest.raises(RunMismatchError, match="policy_digest"):
+        run_evaluation(fake_config(output, episodes=40), backend=fake_backend(digest="third"))
+
+
+def test_what_a_killed_writer_left_is_swept_away(fake_home: Path) -> None:
+    run(fake_home / "run", episodes=5, engine="inline")
+    (fake_home / "run" / ".run.json.abcdefgh").write_text("{")
+    run(fake_home / "run", episodes=5, engine="inline")
+    hidden = {path.name for path in (fake_home / "run").iterdir() if path.name.startswith(".")}
+    assert hidden <= {".lock"}
+
+
+@pytest.mark.parametrize(
+    "header", ["{", "[1]", '{"format": 1, "identity": 3, "policy": {}, "episodes": 1, "segments": []}']
+)
+def test_damaged_run_header_is_refused(fake_home: Path, header: str) -> None:
+    run(fake_home / "run", episodes=5, engine="inline")
+    (fake_home / "run" / "run.json").write_text(header)
+    with pytest.raises(IntegrityError, match="not a run header"):
+        run(fake_home / "run", episodes=5, engine="inline")
+
+
+def test_run_folder_that_cannot_be(fake_home: Path) -> None:
+    (fake_home / "file").touch()
+    for path in (fake_home / "file", fake_home / "file" / "x", fake_home / ("n" * 300)):
+        with pytest.raises(StorageError, match="cannot write"):
+            run(path, episodes=5, engine="inline")
+
+
+def test_batches_that_no_pipe_should_carry(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="too large"):
+        fake_config(tmp_path, batch_size=1_000_000)

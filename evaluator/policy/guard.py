@@ -1,0 +1,83 @@
+"""What is left of a policy is ended and removed, also when the judge is killed with no chance to do it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+from contextlib import suppress
+from pathlib import Path
+
+import psutil
+
+__all__ = ["Guard", "end_family"]
+
+# `read` succeeds when the judge says goodbye, and fails when the judge is gone. The kernel has ended the policy by
+# then; what it started lives on in its group.
+_SCRIPT = 'read -r goodbye && exit; kill -s KILL -- "-$1"; rm -rf -- "$2"'
+
+
+class Guard:
+    """A shell that outlives the judge for one moment, to end a process group and to remove a folder.
+
+    Parameters
+    ----------
+    group : int
+        Process group of the policy.
+    folder : Path
+        Its working folder.
+    """
+
+    def __init__(self, group: int, folder: Path) -> None:
+        reader, self._lifeline = os.pipe()  # the judge alone holds the end to write: it is not inherited
+        try:
+            self._shell = subprocess.Popen(
+                ["/bin/sh", "-c", _SCRIPT, "rema-policy-guard", str(group), str(folder)],
+                stdin=reader,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+        except BaseException:
+            os.close(self._lifeline)
+            raise
+        finally:
+            os.close(reader)
+
+    def dismiss(self) -> None:
+        """Send it home: the judge has done its work."""
+        with suppress(OSError):
+            os.write(self._lifeline, b"\n")
+        os.close(self._lifeline)
+        self._shell.wait()
+
+
+def end_family(process: subprocess.Popen[bytes], folder: Path) -> None:
+    """End ``process``, its group and everything else that it started, and remove its working ``folder``.
+
+    Notes
+    -----
+    What left the group is known by its ancestors, or by the temporary folder that it inherited.
+    """
+    members = _strayed(folder)
+    with suppress(psutil.Error):
+        members += psutil.Process(process.pid).children(recursive=True)
+    # The leader was not waited for yet, so the number of the group is still its own.
+    with suppress(ProcessLookupError, PermissionError):
+        os.killpg(process.pid, signal.SIGKILL)
+    for member in members:
+        with suppress(psutil.Error):
+            member.kill()
+    process.wait()
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def _strayed(folder: Path) -> list[psutil.Process]:
+    """Processes of this user whose temporary folder is ``folder``."""
+    found = []
+    for candidate in psutil.process_iter():
+        with suppress(psutil.Error, OSError):
+            if candidate.environ().get("TMPDIR") == str(folder):
+                found.append(candidate)
+    return found

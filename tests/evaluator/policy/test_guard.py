@@ -1,0 +1,116 @@
+"""Nothing that a policy started outlives its judge, and no folder of its either."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+import evaluator.policy.process
+from evaluator.policy import PolicyHost
+from evaluator.policy.output import CappedOutput
+from evaluator.policy.process import ChildProcess
+from tests.evaluator.policy.batches import make_batch
+from tests.evaluator.policy.conftest import WritePolicy
+
+FAMILY = """
+import subprocess
+subprocess.Popen(["sleep", MARK])
+subprocess.Popen(["sleep", MARK], start_new_session=True)
+if os.fork() == 0:
+    os.setsid()
+    if os.fork() == 0:
+        os.execvp("sleep", ["sleep", MARK])
+    os._exit(0)
+return good
+"""
+
+
+def sleepers(mark: str) -> list[psutil.Process]:
+    return [
+        process
+        for process in psutil.process_iter(["cmdline", "status"])
+        if process.info["cmdline"] == ["sleep", mark] and process.info["status"] != psutil.STATUS_ZOMBIE
+    ]
+
+
+def wait_until(seconds: float, condition: object) -> bool:
+    deadline = time.monotonic() + seconds
+    while not condition():  # type: ignore[operator]
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.02)
+    return True
+
+
+def test_a_family_that_strayed_ends_with_the_policy(write_policy: WritePolicy) -> None:
+    mark = f"60{os.getpid()}"
+    spec = write_policy(FAMILY, top=f"MARK = {mark!r}")
+    with PolicyHost(spec, None) as host:
+        host.act(make_batch(1))
+        assert wait_until(5, lambda: len(sleepers(mark)) == 3)
+    assert wait_until(2, lambda: not sleepers(mark))
+
+
+def test_killed_judge_leaves_neither_processes_nor_folders(
+    write_policy: WritePolicy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mark = f"61{os.getpid()}"
+    spec = write_policy(f"import subprocess\nsubprocess.Popen(['sleep', {mark!r}])\ntime.sleep(50)\nreturn good")
+    (tmp_path / "tmp").mkdir()
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "tmp"))
+    code = (
+        "from evaluator.policy import PolicyHost, resolve\n"
+        "from tests.evaluator.policy.batches import make_batch\n"
+        f"PolicyHost(resolve({str(spec.path)!r}), None).__enter__().act(make_batch(1))"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
+    with subprocess.Popen([sys.executable, "-c", code], env=environment) as judge:
+        assert wait_until(20, lambda: sleepers(mark))
+        assert list((tmp_path / "tmp").glob("rema-policy-*"))
+        judge.kill()
+    assert wait_until(5, lambda: not sleepers(mark))
+    assert wait_until(5, lambda: not list((tmp_path / "tmp").glob("rema-policy-*")))
+
+
+def test_no_guard_and_no_folder_stays(write_policy: WritePolicy) -> None:
+    spec = write_policy("return good")
+    before = {child.pid for child in psutil.Process().children()}
+    descriptors = psutil.Process().num_fds()
+    for _ in range(3):
+        with PolicyHost(spec, None) as host:
+            host.act(make_batch(1))
+            folders = {child.environ().get("TMPDIR") for child in psutil.Process().children()}
+    assert {child.pid for child in psutil.Process().children()} <= before
+    assert psutil.Process().num_fds() == descriptors
+    own = [Path(str(folder)) for folder in folders if "rema-policy-" in str(folder)]
+    assert own and not any(folder.exists() for folder in own)
+    assert own[0].parent == Path(tempfile.gettempdir())
+
+
+def test_a_suspended_judge_charges_no_timeout(write_policy: WritePolicy, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, leap = time.monotonic, [0.0]
+
+    def leaping() -> float:
+        leap[0] += 1000.0  # as if Ctrl-Z and `fg` came between any two looks at the clock
+        return clock() + leap[0]
+
+    output = CappedOutput(None, 1000, 1000)
+    child = ChildProcess(output)
+    order = {"op": "load", "path": str(write_policy("return good").path), "class_name": "Policy"}
+    from evaluator.policy.wire import frame_parts
+
+    monkeypatch.setattr(evaluator.policy.process.time, "monotonic", leaping)
+    try:
+        header, _ = child.ask(frame_parts({**order, "checkpoint": None, "device": "cpu"}, {}), 50.0, 0)
+        assert header["ok"] is True
+    finally:
+        monkeypatch.undo()
+        child.close()
+        output.settle()

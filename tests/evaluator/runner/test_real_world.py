@@ -1,0 +1,66 @@
+"""The real world on the frozen list: the same bytes for any workers, order, engine, and for a run that was killed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from evaluator.policy import resolve
+from evaluator.runner import EvaluationConfig, run_evaluation
+
+EPISODES = 30
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of the runs of this file, which share their observations."""
+    return tmp_path_factory.mktemp("real")
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("REMA_HOME", str(home / "cache"))
+    monkeypatch.delenv("REMA_MANIFESTS", raising=False)
+
+
+def table(output: Path, **changes: Any) -> bytes:
+    fields: dict[str, Any] = {"episodes": EPISODES, "workers": 2, **changes}
+    run_evaluation(EvaluationConfig(resolve("scripted"), "grasp", output, **fields))
+    return (output / "episodes.parquet").read_bytes()
+
+
+@pytest.fixture(scope="module")
+def reference(home: Path) -> bytes:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("REMA_HOME", str(home / "cache"))
+        patch.delenv("REMA_MANIFESTS", raising=False)
+        return table(home / "reference", engine="inline", order="forward")
+
+
+@pytest.mark.parametrize(("workers", "order"), [(1, "shuffled"), (2, "reverse"), (3, "forward")])
+def test_any_number_of_workers_in_any_order(reference: bytes, home: Path, workers: int, order: str) -> None:
+    assert table(home / f"workers{workers}", workers=workers, order=order) == reference
+
+
+def test_killed_and_resumed(reference: bytes, home: Path) -> None:
+    output = home / "killed"
+    arguments = ["evaluate", "scripted", "--task", "grasp", "--episodes", str(EPISODES), "--workers", "1"]
+    command = [sys.executable, "-m", "evaluator.cli", *arguments, "--output", str(output)]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
+    journal = output / "records" / "outcomes-0001.jsonl"
+    with subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL) as judge:
+        deadline = time.monotonic() + 30
+        while time.monotonic() < deadline and not (journal.exists() and journal.read_bytes().count(b"\n") >= 5):
+            time.sleep(0.005)
+        judge.send_signal(signal.SIGKILL)
+    assert 5 <= journal.read_bytes().count(b"\n") < EPISODES
+    assert not (output / "episodes.parquet").exists()
+    assert table(output) == reference
+    assert len(list((output / "records").glob("outcomes-*.jsonl"))) == 2
