@@ -63,6 +63,10 @@ def knobs_table(content: dict[str, Any]) -> str:
     for line in content["lines"][1:]:
         cells = [f"{line['rates'][c] - base[c]:+.1f}" if c in line["rates"] else "" for c in columns]
         lines.append(f"| {line['setting']} | " + " | ".join(cells) + " |")
+    n = content["episodes"]
+    noise = [196 * (2 * rate * (1 - rate) / n) ** 0.5 for rate in (0.5, 0.05)]
+    lines += ["", f"{n} episodes a cell: differences below {noise[0]:.0f} points near 50 % and {noise[1]:.0f} near 5 % "]
+    lines[-1] += "would be within noise for independent episodes; equal seeds make them a little sharper than that."
     return "\n".join(lines)
 
 
