@@ -30,7 +30,7 @@ def replace_block(text: str, name: str, content: str) -> str:
     head, found, rest = text.partition(start)
     _, closed, tail = rest.partition(end)
     if not (found and closed):
-        raise SystemExit(f"{PAGE} has no block {name!r}")
+        raise SystemExit(f"the page has no block {name!r}")
     return f"{head}{start}\n\n{content}\n\n{end}{tail}"
 
 
@@ -65,8 +65,11 @@ def knobs_table(content: dict[str, Any]) -> str:
         lines.append(f"| {line['setting']} | " + " | ".join(cells) + " |")
     n = content["episodes"]
     noise = [196 * (2 * rate * (1 - rate) / n) ** 0.5 for rate in (0.5, 0.05)]
-    lines += ["", f"{n} episodes a cell: differences below {noise[0]:.0f} points near 50 % and {noise[1]:.0f} near 5 % "]
-    lines[-1] += "would be within noise for independent episodes; equal seeds make them a little sharper than that."
+    lines += [
+        "",
+        f"{n} episodes a cell: differences below {noise[0]:.0f} points near 50 % and {noise[1]:.0f} near 5 % would be "
+        "within noise for independent episodes; equal seeds make them a little sharper than that.",
+    ]
     return "\n".join(lines)
 
 
@@ -74,12 +77,13 @@ def main() -> None:
     """Replace the blocks of the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", nargs="*", type=Path, default=[])
+    parser.add_argument("--page", type=Path, default=PAGE)
     arguments = parser.parse_args()
     kept = RESULTS / "runs"
     kept.mkdir(parents=True, exist_ok=True)
     for run in arguments.runs:
         shutil.copyfile(run / "summary.json", kept / f"{run.name}.json")
-    text = PAGE.read_text(encoding="utf-8")
+    text = arguments.page.read_text(encoding="utf-8")
     calibration = json.loads((RESULTS / "calibration.json").read_text(encoding="utf-8"))
     text = replace_block(text, "calibration", markdown(calibration["rows"]))
     summaries = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(kept.glob("*.json"))]
@@ -90,8 +94,8 @@ def main() -> None:
     sensitivity = RESULTS / "sensitivity.json"
     if sensitivity.exists():
         text = replace_block(text, "knobs", knobs_table(json.loads(sensitivity.read_text(encoding="utf-8"))))
-    PAGE.write_text(text, encoding="utf-8")
-    print(PAGE.relative_to(ROOT))
+    arguments.page.write_text(text, encoding="utf-8")
+    print(arguments.page)
 
 
 if __name__ == "__main__":

@@ -30,9 +30,12 @@ EE_HALF_M = EE_PIXELS * PIXEL_M / 2
 Array = npt.NDArray[Any]
 
 
+@cache
 def pixel_centres(pixels: int) -> Array:
-    """Coordinates of the pixel centres of a square map centred on its frame's origin, float64 (pixels,), metres."""
-    return (np.arange(pixels) + 0.5 - pixels / 2) * PIXEL_M
+    """Pixel centres of a square map along one axis, from its middle, float64 (pixels,), metres, read-only."""
+    centres: Array = (np.arange(pixels) + 0.5 - pixels / 2) * PIXEL_M
+    centres.setflags(write=False)
+    return centres
 
 
 def encode(i: Any, j: Any, k: Any) -> Any:

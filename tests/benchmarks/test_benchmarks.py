@@ -98,3 +98,25 @@ def test_a_whole_run_against_bare_stepping(tmp_path: Path) -> None:
     assert found["episodes"] == 60
     assert found["ratio"] > 1
     assert "## Whole runs" in page(tmp_path)
+
+
+@pytest.mark.slow
+def test_the_shortcut_agrees_with_simulation_on_two_thousand_episodes(tmp_path: Path) -> None:
+    """2,000 cases of every task; any label that differs ends the script with 6."""
+    found = subprocess.run(
+        [sys.executable, "benchmarks/shortcuts.py", "--episodes", "2000"], cwd=ROOT, capture_output=True, text=True
+    )
+    assert found.returncode == 0, found.stdout + found.stderr
+
+
+def test_the_committed_pages_are_made_from_the_committed_results(tmp_path: Path) -> None:
+    """No number of the two pages is typed: the scripts write the same pages again."""
+    committed = (ROOT / "docs" / "performance.md").read_text(encoding="utf-8")
+    done = run("report", "--output", str(tmp_path / "performance.md"))
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "performance.md").read_text(encoding="utf-8") == committed
+    copy = tmp_path / "calibration.md"
+    copy.write_text((ROOT / "docs" / "calibration.md").read_text(encoding="utf-8"), encoding="utf-8")
+    done = run("calibration_report", "--page", str(copy))
+    assert done.returncode == 0, done.stderr
+    assert copy.read_text(encoding="utf-8") == (ROOT / "docs" / "calibration.md").read_text(encoding="utf-8")
