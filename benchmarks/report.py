@@ -23,7 +23,8 @@ SECTIONS = {
     "sim_throughput": "Speed of the world",
     "full_run": "Whole runs",
     "memory": "Memory",
-    "determinism": "Determinism",
+    "determinism": "Determinism of the world",
+    "byte_identity": "Equal bytes of whole runs",
     "shortcuts": "The geometric shortcut",
 }
 """Sections, in this order; a benchmark may have several files."""

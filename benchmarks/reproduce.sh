@@ -19,6 +19,7 @@ python benchmarks/sim_throughput.py --json $results/sim_throughput.json
 python benchmarks/shortcuts.py --json $results/shortcuts.json
 python benchmarks/memory.py --json $results/memory.json
 python benchmarks/determinism.py --json $results/determinism.json
+python benchmarks/byte_identity.py --json $results/byte_identity.json
 python benchmarks/full_run.py --runs runs/*-conditional --json $results/full_run.json
 python benchmarks/report.py
 python benchmarks/gallery.py

@@ -45,7 +45,7 @@ def test_same_cases_have_the_same_outcomes_under_other_histories(tmp_path: Path)
     content = measured(tmp_path, "determinism", *words)
     assert content["numbers"]["cases"] == 18
     assert all(found["differences"] == 0 for found in content["numbers"]["histories"].values())
-    assert "## Determinism" in page(tmp_path)
+    assert "## Determinism of the world" in page(tmp_path)
 
 
 def test_the_shortcut_is_compared_with_simulation(tmp_path: Path) -> None:
