@@ -25,11 +25,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from evaluator.sim.parameters import WORLD, WorldParameters, parameters_hash
 from evaluator.sim.reach import reachable
-from evaluator.sim.reference import reference_pick, reference_pinch, tool_steps
+from evaluator.sim.reference import prepare
 from evaluator.sim.simulator import Simulator
-from evaluator.sim.spawn import draw_episode, episode_generator
+from evaluator.sim.spawn import episode_generator
 from rema_data import grid
-from rema_data.schema import TASKS, Primitive, Situation
+from rema_data.schema import TASKS, Primitive
 
 PUBLISHED = {
     "grasp": {"random": 5.53, "scripted": 72.77},
@@ -52,18 +52,8 @@ def count(job: tuple[str, range, WorldParameters]) -> dict[str, collections.Coun
     counts: dict[str, collections.Counter[str]] = {"random": collections.Counter(), "scripted": collections.Counter()}
     for episode in episodes:
         rng = episode_generator(ROOT_SEED, "calibrate", task, episode)
-        placements = draw_episode(rng, task, parameters)
-        grips = tuple(reference_pick(simulator, task, step, placements[step], rng) for step in tool_steps(task))
-        held = tuple(grip for grip in grips if grip is not None)
-        pinch = None
-        if len(held) == len(grips) and task == "grasp_grasp_push":
-            pinch = reference_pinch(simulator, placements[2], held, rng)
-        if len(held) < len(grips) or (task == "grasp_grasp_push" and pinch is None):
-            for counter in counts.values():
-                counter["(not picked)"] += 1
-            continue
-        situation = Situation(task, last, placements[-1], held, pinch)
-        target = placements[-1]
+        situation = prepare(simulator, task, rng).last_situation(task)
+        target = situation.target
         yaw = float(rng.integers(angles)) * 2 * np.pi / grid.ANGLES
         actions = {
             "random": int(valid[rng.integers(len(valid))]),
@@ -88,7 +78,7 @@ def measure(task: str, episodes: int, parameters: WorldParameters, pool: Any) ->
             total[policy].update(counter)
     rows = []
     for policy, counter in total.items():
-        eligible = sum(counter.values()) - counter["(not picked)"]
+        eligible = sum(counter.values())
         successes = counter["success"]
         interval = binomtest(successes, eligible).proportion_ci(method="wilson")
         rows.append(

@@ -14,11 +14,11 @@ from pathlib import Path
 
 from evaluator.scenarios import SPLITS, manifest_path, update_manifest, write_list
 from evaluator.sim.parameters import WORLD, parameters_hash
-from evaluator.sim.reference import reference_pick, reference_pinch, tool_steps
+from evaluator.sim.reference import prepare
 from evaluator.sim.simulator import Simulator
-from evaluator.sim.spawn import draw_episode, draw_step, episode_generator
+from evaluator.sim.spawn import episode_generator
 from rema_data.errors import InputError
-from rema_data.schema import TASKS, Grip, Pinch, Scenario, check_task
+from rema_data.schema import TASKS, Scenario, check_task
 
 __all__ = ["COUNTS", "ROOT_SEED", "draw_scenario", "generate_list", "write_lists"]
 
@@ -45,21 +45,8 @@ def draw_scenario(simulator: Simulator, task: str, split: str, index: int) -> Dr
     task, split : str
     index : int
     """
-    rng = episode_generator(ROOT_SEED, split, task, index)
-    placements = list(draw_episode(rng, task, simulator.parameters))
-    redrawn = 0
-    grips: list[Grip] = []
-    for step in tool_steps(task):
-        while (grip := reference_pick(simulator, task, step, placements[step], rng)) is None:
-            placements[step] = draw_step(rng, task, step, simulator.parameters)
-            redrawn += 1
-        grips.append(grip)
-    pinch: Pinch | None = None
-    if task == "grasp_grasp_push":
-        while (pinch := reference_pinch(simulator, placements[2], tuple(grips), rng)) is None:
-            placements[2] = draw_step(rng, task, 2, simulator.parameters)
-            redrawn += 1
-    return Drawn(Scenario(task, split, index, tuple(placements), tuple(grips), pinch), redrawn)
+    ready = prepare(simulator, task, episode_generator(ROOT_SEED, split, task, index))
+    return Drawn(Scenario(task, split, index, ready.placements, ready.grips, ready.pinch), ready.redrawn)
 
 
 _simulator: Simulator | None = None

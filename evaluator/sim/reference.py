@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,14 +19,56 @@ from evaluator.sim.planar import Rect, gap
 from evaluator.sim.reach import valid_actions
 from evaluator.sim.shapes import boxes, footprint
 from evaluator.sim.simulator import Simulator
+from evaluator.sim.spawn import draw_episode, draw_step
 from rema_data import grid
-from rema_data.schema import TASKS, Grip, Pinch, Placement, Situation
+from rema_data.schema import TASKS, Embodiment, Grip, Pinch, Placement, Situation
 
 NEAR_MIDDLE = 0.10
 """A pick aims within this share of a bar's length from the bar's middle, where the object's shape leaves room."""
 CLEARANCE_M = 0.0015
 """Room that the descending fingers must have beside the object."""
 TRIES = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """An episode up to its last step: its objects, the tools in hand, and how many objects had to be drawn again."""
+
+    placements: tuple[Placement, ...]
+    grips: tuple[Grip, ...]
+    pinch: Pinch | None
+    redrawn: int
+
+    def last_situation(self, task: str) -> Situation:
+        """What the last step of ``task`` starts from."""
+        return Situation(task, len(self.placements) - 1, self.placements[-1], self.grips, self.pinch)
+
+
+def prepare(simulator: Simulator, task: str, rng: np.random.Generator) -> Prepared:
+    """Draw an episode and put its tools into the hands; an object that cannot be picked or pinched is drawn again.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    task : str
+    rng : numpy.random.Generator
+        Keyed by the episode.
+    """
+    placements = list(draw_episode(rng, task, simulator.parameters))
+    redrawn = 0
+    grips: list[Grip] = []
+    for step in tool_steps(task):
+        while (grip := reference_pick(simulator, task, step, placements[step], rng)) is None:
+            placements[step] = draw_step(rng, task, step, simulator.parameters)
+            redrawn += 1
+        grips.append(grip)
+    pinch: Pinch | None = None
+    if TASKS[task][-1].embodiment is Embodiment.PINCHED:
+        step = len(placements) - 2
+        while (pinch := reference_pinch(simulator, placements[step], tuple(grips), rng)) is None:
+            placements[step] = draw_step(rng, task, step, simulator.parameters)
+            redrawn += 1
+    return Prepared(tuple(placements), tuple(grips), pinch, redrawn)
 
 
 def reference_pick(
