@@ -7,11 +7,13 @@ the reference policy fails to turn into a tool is drawn again; the manifest says
 from __future__ import annotations
 
 import multiprocessing
+import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+from evaluator.engines.worker import die_with
 from evaluator.scenarios import SPLITS, manifest_path, update_manifest, write_list
 from evaluator.sim.parameters import WORLD, parameters_hash
 from evaluator.sim.reference import prepare
@@ -64,7 +66,8 @@ def generate_list(task: str, split: str, count: int, workers: int = 2) -> Iterat
     """Scenarios 0 to ``count`` - 1 of a list, in order, whatever the number of workers."""
     check_task(task)
     jobs = [(task, split, range(start, min(start + _CHUNK, count))) for start in range(0, count, _CHUNK)]
-    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=spawn, initializer=die_with, initargs=(os.getpid(),)) as pool:
         for chunk in pool.map(_draw_chunk, jobs):
             yield from chunk
 
