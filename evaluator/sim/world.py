@@ -2,8 +2,8 @@
 
 The whole world is rebuilt at the start of each step, in a fixed order, so that what follows is a pure function of what
 is placed: joints, motors, objects. Anything less leaks history: with only the objects replaced, the order of Bullet's
-collision pairs depends on what was there before, and about one outcome in a hundred differs in its last bits. Without
-meshes a rebuild costs under a millisecond.
+collision pairs depends on what was there before, and now and then the last bits of an outcome, or its label, with it.
+Without meshes a rebuild is cheap.
 """
 
 from __future__ import annotations
