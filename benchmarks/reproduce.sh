@@ -12,14 +12,14 @@ for task in grasp push grasp_push grasp_grasp grasp_grasp_push; do
   done
 done
 python benchmarks/calibrate.py --json $results/calibration.json
-python benchmarks/sensitivity.py --json $results/sensitivity.json
+python benchmarks/sensitivity.py --episodes 200 --json $results/sensitivity.json
 python benchmarks/calibration_report.py --runs runs/*-conditional
 
 python benchmarks/sim_throughput.py --json $results/sim_throughput.json
 python benchmarks/shortcuts.py --json $results/shortcuts.json
 python benchmarks/memory.py --json $results/memory.json
-python benchmarks/determinism.py --json $results/determinism.json
-python benchmarks/byte_identity.py --json $results/byte_identity.json
+python benchmarks/determinism.py --episodes 60 --others 400 --json $results/determinism.json
+python benchmarks/byte_identity.py --episodes 100 --json $results/byte_identity.json
 python benchmarks/full_run.py --runs runs/*-conditional --json $results/full_run.json
 python benchmarks/report.py
 python benchmarks/gallery.py
