@@ -16,7 +16,6 @@ from evaluator.sim.footprints import (
     finger_footprint,
     hand_footprints,
     inner_extents,
-    lowest_point,
     pair_heights,
     pinched_heights,
 )
@@ -135,4 +134,4 @@ def _pair(
     return parts
 
 
-__all__ = ["SLAB_M", "Part", "end_effector_states", "lowest_point", "observe", "paint_parts"]
+__all__ = ["SLAB_M", "Part", "end_effector_states", "observe", "paint_parts"]
