@@ -85,6 +85,11 @@ TASKS: dict[str, tuple[StepKind, ...]] = {
 """Steps of every task, in order. An episode ends at its first failed step (paper, section 3.3)."""
 
 
+def skill(kind: StepKind) -> str:
+    """Name of what a step exercises: the task whose last step is of this kind. A tool pick is a ``grasp``."""
+    return next(task for task, steps in TASKS.items() if steps[-1] == kind)
+
+
 class Failure(StrEnum):
     """Why a step failed: exactly one label for every failed step."""
 
@@ -272,6 +277,31 @@ class Observation:
 
 
 @dataclass(frozen=True, slots=True)
+class Action:
+    """One action of the 64 x 64 x 16 grid.
+
+    Attributes
+    ----------
+    index : int
+        Grid index, 0..65535: ``(i * 64 + j) * 16 + k``.
+    """
+
+    index: int
+
+    @property
+    def cell(self) -> tuple[int, int, int]:
+        """Row i, column j and angle k."""
+        i, j, k = grid.decode(self.index)
+        return int(i), int(j), int(k)
+
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """World pose: x (m), y (m) and yaw (rad) of the hand, or of the pair where two arms act as one."""
+        x_m, y_m, yaw_rad = grid.to_world(self.index)
+        return float(x_m), float(y_m), float(yaw_rad)
+
+
+@dataclass(frozen=True, slots=True)
 class StepOutcome:
     """What one action did.
 
@@ -311,6 +341,66 @@ class StepOutcome:
     sim_steps: int = 0
     grip: Grip | None = None
     pinch: Pinch | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One executed step: what the simulator was given, what the policy saw and did, and what came of it.
+
+    Attributes
+    ----------
+    situation : Situation
+    observation : Observation
+    action : Action
+    outcome : StepOutcome
+    policy : str
+        Name of the behaviour policy of this step.
+    policy_digest : str
+        sha256 of its code and weights.
+    """
+
+    situation: Situation
+    observation: Observation
+    action: Action
+    outcome: StepOutcome
+    policy: str
+    policy_digest: str
+
+
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """The executed steps of one collected episode, up to its first failure.
+
+    Attributes
+    ----------
+    task : str
+    round : int
+        Collection round, from 1.
+    split : str
+        ``train`` or ``val``.
+    index : int
+        Position in its (round, task, split), from 0.
+    seed : int
+        Root seed of the collection; with task, round, split and index it keys everything that was drawn.
+    steps : tuple of Step
+    """
+
+    task: str
+    round: int
+    split: str
+    index: int
+    seed: int
+    steps: tuple[Step, ...]
+
+    @property
+    def success(self) -> bool:
+        """Whether the last step of the task was reached and succeeded."""
+        return self.steps[-1].situation.last and self.steps[-1].outcome.success
+
+    @property
+    def failure(self) -> Failure | None:
+        """Label of the step that ended the episode, or None after a success."""
+        return self.steps[-1].outcome.failure
 
 
 def to_dict(record: Any) -> dict[str, Any]:

@@ -16,21 +16,38 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 
 from rema_data.errors import InputError, RemaError
 
-__all__ = ["VERBS", "cli"]
+__all__ = ["VERBS", "Verb", "cli"]
 
-VERBS: dict[str, str] = {
-    "evaluate": "Score a policy on frozen scenarios.",
-    "preview": "Show one step of a scenario as a picture.",
-    "leaderboard": "Compare runs in one table, beside the paper's rates.",
-    "scenarios": "Draw a new version of the frozen scenario lists.",
+
+class Verb(NamedTuple):
+    """Where the click command of a verb is (``module:attribute``), and its line in the help."""
+
+    target: str
+    help: str
+
+
+VERBS: dict[str, Verb] = {
+    "download": Verb("evaluator.cli.download:download", "Fetch a release of the dataset, or a part of it."),
+    "stats": Verb("evaluator.cli.stats:stats", "Count positives and negatives of a release."),
+    "verify": Verb("evaluator.cli.verify:verify", "Check every byte and every invariant of a release."),
+    "doctor": Verb("evaluator.cli.doctor:doctor", "Check this machine: versions, cache, reading speed."),
+    "preview": Verb("evaluator.cli.preview:preview", "Show a step of a scenario or of a release as a picture."),
+    "export": Verb("evaluator.cli.export:export", "Write a release in another format."),
+    "import": Verb("evaluator.cli.import_:import_", "Bring an exported release back."),
+    "collect": Verb("baselines.rounds.command:collect", "Run a collection plan and seal a release."),
+    "evaluate": Verb("evaluator.cli.evaluate:evaluate", "Score a policy on frozen scenarios."),
+    "leaderboard": Verb(
+        "evaluator.cli.leaderboard:leaderboard", "Compare runs in one table, beside the paper's rates."
+    ),
+    "scenarios": Verb("evaluator.cli.scenarios:scenarios", "Draw a new version of the frozen scenario lists."),
 }
-"""Verbs in the order of the help. Verb ``x`` is the click command ``x`` of the module ``evaluator.cli.x``."""
+"""Verbs in the order of the help. A target is a name and not an import: it may lie in a package above this one."""
 
 INTERRUPTED = 130
 
@@ -44,12 +61,13 @@ class _Verbs(click.Group):
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         if name not in VERBS:
             return None
-        command: click.Command = getattr(importlib.import_module(f"{__package__}.{name}"), name)
+        module, _, attribute = VERBS[name].target.partition(":")
+        command: click.Command = getattr(importlib.import_module(module), attribute)
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Verbs"):
-            formatter.write_dl(list(VERBS.items()))
+            formatter.write_dl([(name, verb.help) for name, verb in VERBS.items()])
 
     def invoke(self, ctx: click.Context) -> Any:
         _prepare_streams()
@@ -114,4 +132,4 @@ def _print_version(ctx: click.Context, parameter: click.Parameter, wanted: bool)
 @click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120})
 @click.option("--version", is_flag=True, is_eager=True, expose_value=False, callback=_print_version, help="Show it.")
 def cli() -> None:
-    """ReMa: manipulation with grippers and tools. Score policies on frozen scenarios and compare them."""
+    """ReMa: manipulation with grippers and tools. The dataset, the world, and the judge of policies."""

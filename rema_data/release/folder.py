@@ -1,0 +1,153 @@
+"""Releases on this machine: where their files lie, and which blocks are there."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from rema_data.errors import InputError, MissingFileError
+from rema_data.release.manifest import MANIFEST, BlockEntry, FileEntry, Manifest, parse_manifest
+from rema_data.release.registry import load_published, newest, published
+from rema_data.storage import rema_home
+from rema_data.store.block import BlockKey, BlockReader
+
+__all__ = ["ReleaseFolder", "downloads_folder", "find_release", "local_sources"]
+
+
+@dataclass(frozen=True)
+class ReleaseFolder:
+    """A release whose files lie below ``root``.
+
+    Attributes
+    ----------
+    manifest : Manifest
+    root : Path
+        The folder of releases: a file is at ``root / holder / path``.
+    """
+
+    manifest: Manifest
+    root: Path
+
+    @property
+    def path(self) -> Path:
+        """The release's own folder."""
+        return self.root / self.manifest.name
+
+    def file(self, entry: FileEntry) -> Path:
+        """Where a file lies."""
+        return self.root / entry.location
+
+    def has(self, entry: FileEntry) -> bool:
+        """Whether a file is there with its size. Its content is checked when it is decoded, and by ``rema verify``."""
+        try:
+            return os.stat(self.root / entry.location).st_size == entry.bytes
+        except OSError:
+            return False
+
+    def block(self, entry: BlockEntry) -> BlockReader:
+        """Reader of a block."""
+        return BlockReader(self.root / entry.holder / entry.key.path)
+
+    def blocks(self) -> tuple[BlockEntry, ...]:
+        """The blocks that are here whole."""
+        files = [file for file in self.manifest.files if file.block is not None]
+        missing = {file.block for file in files if not self.has(file)}
+        return tuple(block for block in self.manifest.blocks if block.key.path not in missing)
+
+    def require(self, wanted: Iterable[BlockEntry]) -> None:
+        """Raise where one of the blocks is not here whole.
+
+        Raises
+        ------
+        MissingFileError
+            With the command that fetches it.
+        """
+        here = {block.key for block in self.blocks()}
+        missing = [block.key for block in wanted if block.key not in here]
+        if missing:
+            raise MissingFileError(
+                f"{len(missing)} blocks of {self.manifest.name} are not on this machine, the first one "
+                f"{missing[0].path}",
+                hint=f"fetch them: rema download {self.manifest.name}{_options(missing)}",
+                missing=missing,
+            )
+
+
+def _options(keys: list[BlockKey]) -> str:
+    tasks = sorted({key.task for key in keys})
+    return "".join(f" --task {task}" for task in tasks)
+
+
+def downloads_folder() -> Path:
+    """Where downloaded releases lie: ``REMA_HOME/releases``."""
+    return rema_home() / "releases"
+
+
+def local_sources() -> tuple[Path, ...]:
+    """Folders of releases that come with the package or the checkout: the sample, and the shards of a clone."""
+    package = Path(__file__).resolve().parent.parent
+    candidates = (package / "_releases", package.parent / "releases", Path.cwd() / "releases")
+    return tuple(dict.fromkeys(folder for folder in candidates if folder.is_dir()))
+
+
+def find_release(name_or_path: str | os.PathLike[str] | None = None) -> ReleaseFolder:
+    """A release on this machine.
+
+    Parameters
+    ----------
+    name_or_path : str or path, optional
+        Name of a published release, or the folder of any release; by default the newest published one that is here.
+
+    Raises
+    ------
+    InputError
+        There is no release of that name.
+    MissingFileError
+        It is not on this machine, or the folder is not that of a release.
+    IntegrityError
+        Its manifest is damaged, or not the published one.
+    """
+    if name_or_path is None:
+        return _find_default()
+    text = os.fspath(name_or_path)
+    names = {entry.name for entry in published()}
+    if text not in names:
+        folder = Path(text).expanduser()
+        if not folder.is_dir():
+            listed = ", ".join(sorted(names))
+            raise InputError(
+                f"{text!r} is neither a published release nor a folder", hint=f"published releases: {listed}"
+            )
+        path = folder / MANIFEST
+        if not path.is_file():
+            raise MissingFileError(
+                f"{folder} has no {MANIFEST}: it is not the folder of a sealed release",
+                hint="name the folder that `rema collect` or `rema download` made",
+                path=str(path),
+            )
+        manifest = parse_manifest(path.read_bytes(), str(path))
+        if folder.resolve().name != manifest.name:
+            raise InputError(
+                f"the folder {folder} holds the release {manifest.name}",
+                hint=f"name the folder {manifest.name}: blocks of parent releases are found beside it",
+            )
+        return ReleaseFolder(manifest, folder.resolve().parent)
+    manifest = load_published(text)
+    found = [ReleaseFolder(manifest, root) for root in (downloads_folder(), *local_sources())]
+    best = max(found, key=lambda folder: len(folder.blocks()))
+    if not best.blocks():
+        raise MissingFileError(f"release {text} is not on this machine", hint=f"fetch it: rema download {text}")
+    return best
+
+
+def _find_default() -> ReleaseFolder:
+    """The newest published release that is here, else the sample."""
+    order = [newest(), *(entry.name for entry in reversed(published()))]
+    for name in dict.fromkeys(order):
+        try:
+            return find_release(name)
+        except MissingFileError:
+            continue
+    raise MissingFileError("no release is on this machine", hint="fetch the newest one: rema download")

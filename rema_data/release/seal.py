@@ -1,0 +1,173 @@
+"""Sealing: a folder of blocks becomes a release, once and for all.
+
+The manifest is written last, then the folder gets its name: a release that can be found is whole. Its files are made
+read-only; a later change is a new release.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pyarrow.compute as pc
+
+from rema_data.errors import InputError, RunMismatchError
+from rema_data.release.card import write_card
+from rema_data.release.folder import ReleaseFolder
+from rema_data.release.manifest import MANIFEST, BlockEntry, FileEntry, Manifest, Parent, check_name, parse_manifest
+from rema_data.schema import TASKS
+from rema_data.storage import storage_errors, sync_folder, write_atomic
+from rema_data.store.block import BlockKey, BlockReader
+
+__all__ = ["Description", "describe_block", "file_sha256", "seal"]
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """What people are told about a release.
+
+    Attributes
+    ----------
+    name, title, description, license, citation : str
+    sources : tuple of str
+        URLs of folders of releases.
+    """
+
+    name: str
+    title: str
+    description: str
+    license: str
+    citation: str
+    sources: tuple[str, ...] = ()
+
+
+def file_sha256(path: Path) -> str:
+    """sha256 of a file, hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def describe_block(folder: Path, key: BlockKey, holder: str) -> BlockEntry:
+    """The manifest's entry of a block in ``folder``, read from its tables."""
+    reader = BlockReader(folder)
+    episodes, steps = reader.episodes(), reader.steps()
+    policies = []
+    for step in range(len(TASKS[key.task])):
+        names = pc.unique(steps.filter(pc.equal(steps["step"], step))["policy"]).to_pylist()
+        policies.append("+".join(sorted(names)))
+    return BlockEntry(
+        *key,
+        episodes=episodes.num_rows,
+        steps=steps.num_rows,
+        end_effectors=reader.maps().rows("ee_depth"),
+        positives=pc.sum(episodes["success"]).as_py() or 0,
+        policies=tuple(policies),
+        holder=holder,
+    )
+
+
+def seal(
+    staging: Path,
+    root: Path,
+    about: Description,
+    keys: Sequence[BlockKey],
+    *,
+    fingerprint: dict[str, str],
+    plan_sha256: str = "",
+    parent: Manifest | None = None,
+    reused: Sequence[BlockKey] = (),
+) -> ReleaseFolder:
+    """Turn a folder of blocks into the release ``root / about.name``.
+
+    Parameters
+    ----------
+    staging : Path
+        Holds the folders of ``keys``; on the same file system as ``root``. It is renamed.
+    root : Path
+        Folder of releases.
+    about : Description
+    keys : sequence of BlockKey
+        New blocks, in the order in which they are listed.
+    fingerprint : dict
+        Of the simulator.
+    plan_sha256 : str
+        Of the collection plan, where there was one.
+    parent : Manifest, optional
+        The release that this one continues.
+    reused : sequence of BlockKey
+        Blocks of ``parent`` that belong to this release too; they stay where they are.
+
+    Raises
+    ------
+    InputError
+        The name cannot be one, or a block is both new and reused.
+    RunMismatchError
+        A release of that name is there already.
+    StorageError
+        The disk is full or may not be written.
+    """
+    target = root / check_name(about.name)
+    if target.exists():
+        raise RunMismatchError(
+            f"{target} exists: a sealed release is never written to",
+            hint="collect under another name, or move the old release away",
+            path=str(target),
+        )
+    old = {} if parent is None else {block.key: block for block in parent.blocks}
+    twice = [key for key, times in Counter((*keys, *reused)).items() if times > 1]
+    if twice or any(key not in old for key in reused):
+        raise InputError("a block is listed twice, or is not in the parent release", hint="mend the plan's rounds")
+    blocks = [old[key] for key in reused] + [describe_block(staging / key.path, key, about.name) for key in keys]
+    blocks.sort(key=lambda block: (block.round, list(TASKS).index(block.task), block.split))
+    kept = {block.key.path for block in blocks if block.key in set(reused)}
+    shared = [] if parent is None else [file for file in parent.files if file.block in kept]
+    draft = Manifest(
+        **{name: getattr(about, name) for name in ("name", "title", "description", "license", "citation", "sources")},
+        blocks=tuple(blocks),
+        files=tuple(_sorted(_entries(staging, about.name) + shared)),
+        fingerprint=fingerprint,
+        plan_sha256=plan_sha256,
+        parent=None if parent is None else Parent(parent.name, parent.sha256),
+    )
+    write_card(staging, draft)
+    manifest = Manifest(
+        **{**draft.__dict__, "files": tuple(_sorted(_entries(staging, about.name) + shared))},
+    )
+    data = manifest.to_bytes()
+    parse_manifest(data, str(target / MANIFEST), manifest.sha256)
+    write_atomic(staging / MANIFEST, data)
+    with storage_errors(target):
+        _settle(staging)
+        root.mkdir(parents=True, exist_ok=True)
+        os.rename(staging, target)
+        sync_folder(root)
+    return ReleaseFolder(manifest, root)
+
+
+def _sorted(entries: Sequence[FileEntry]) -> list[FileEntry]:
+    return sorted(entries, key=lambda entry: entry.location)
+
+
+def _entries(staging: Path, holder: str) -> list[FileEntry]:
+    found = []
+    for path in sorted(staging.rglob("*")):
+        if path.is_file() and path != staging / MANIFEST:
+            name = path.relative_to(staging).as_posix()
+            found.append(FileEntry(name, path.stat().st_size, file_sha256(path), holder))
+    return found
+
+
+def _settle(folder: Path) -> None:
+    """Make every byte and name below ``folder`` durable, and its files read-only."""
+    for path in sorted(folder.rglob("*")):
+        if path.is_dir():
+            sync_folder(path)
+        else:
+            with path.open("rb") as file:
+                os.fsync(file.fileno())
+            path.chmod(0o444)
+    sync_folder(folder)

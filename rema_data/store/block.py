@@ -1,0 +1,202 @@
+"""A block: all episodes of one (round, task, split), as a folder of whole files.
+
+::
+
+    round-1/grasp/train/
+        episodes.parquet    one row an episode
+        steps.parquet       one row an executed step, with the rows of its maps
+        maps.zarr/          scene, ee_depth, ee_mask
+
+A subset of a release is a set of blocks. A block is written once and never changed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from rema_data.errors import InputError
+from rema_data.quantise import encode_heights, pack_mask
+from rema_data.schema import TASKS, Episode, Observation
+from rema_data.storage import write_atomic
+from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS
+from rema_data.store.maps import MapsReader, MapsWriter
+from rema_data.store.tables import episode_row, episodes_table, read_table, step_row, steps_table, to_parquet
+
+__all__ = ["EPISODES", "SPLITS", "STEPS", "BlockKey", "BlockReader", "BlockWriter", "EncodedMaps", "encode_episodes"]
+
+EPISODES, STEPS = "episodes.parquet", "steps.parquet"
+SPLITS = ("train", "val")
+Array = npt.NDArray[Any]
+
+
+class BlockKey(NamedTuple):
+    """Which block: collection round (from 1), task, and split."""
+
+    round: int
+    task: str
+    split: str
+
+    @property
+    def path(self) -> str:
+        """Folder of the block inside its release."""
+        return f"round-{self.round}/{self.task}/{self.split}"
+
+    @classmethod
+    def parse(cls, path: str) -> BlockKey:
+        """Inverse of ``path``.
+
+        Raises
+        ------
+        InputError
+            It names no block.
+        """
+        head, _, rest = path.partition("/")
+        task, _, split = rest.partition("/")
+        number = head.removeprefix("round-")
+        key = cls(int(number), task, split) if number.isdecimal() and number.isascii() else None
+        if key is None or key.path != path or task not in TASKS or split not in SPLITS or key.round < 1:
+            raise InputError(f"{path!r} names no block", hint="write it as round-1/grasp/train", path=path)
+        return key
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EncodedMaps:
+    """Maps of some steps as they are stored.
+
+    Attributes
+    ----------
+    scene : uint16 (N, 64, 64)
+    ee_row : int32 (N,)
+        Row of every step's end-effector map in the two arrays below.
+    ee_depth : uint16 (M, 2, 112, 112)
+    ee_mask : uint8 (M, 2, 112, 14)
+    """
+
+    scene: Array
+    ee_row: Array
+    ee_depth: Array
+    ee_mask: Array
+
+
+def _stacked(maps: Sequence[Array], like: tuple[int, ...], dtype: str) -> Array:
+    return np.stack(maps) if maps else np.empty((0, *like), dtype)
+
+
+def encode_maps(observations: Sequence[Observation]) -> EncodedMaps:
+    """Observations as stored maps, equal end-effector maps once."""
+    rows: list[int] = []
+    known: dict[bytes, int] = {}
+    depths: list[Array] = []
+    masks: list[Array] = []
+    for seen in observations:
+        digest = hashlib.sha256(seen.depth.tobytes() + np.packbits(seen.mask).tobytes()).digest()
+        if digest not in known:
+            known[digest] = len(depths)
+            depths.append(encode_heights(seen.depth))
+            masks.append(pack_mask(seen.mask))
+        rows.append(known[digest])
+    return EncodedMaps(
+        _stacked([encode_heights(seen.scene) for seen in observations], (64, 64), "uint16"),
+        np.array(rows, np.int32),
+        _stacked(depths, (2, 112, 112), "uint16"),
+        _stacked(masks, (2, 112, 14), "uint8"),
+    )
+
+
+def encode_episodes(episodes: Sequence[Episode]) -> tuple[pa.Table, pa.Table, EncodedMaps]:
+    """Episodes as the tables and maps of a block of their own: rows count from 0."""
+    maps = encode_maps([step.observation for episode in episodes for step in episode.steps])
+    episode_rows: list[dict[str, Any]] = []
+    step_rows: list[dict[str, Any]] = []
+    for episode in episodes:
+        episode_rows.append(episode_row(episode, len(step_rows)))
+        for step in episode.steps:
+            row = len(step_rows)
+            step_rows.append(step_row(episode, step, row, int(maps.ee_row[row])))
+    return episodes_table(episode_rows), steps_table(step_rows), maps
+
+
+class BlockWriter:
+    """Writes a block from pieces, in order; the bytes do not depend on how it was cut.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the block, empty or not there.
+
+    Raises
+    ------
+    StorageError
+        From any method: the disk is full or may not be written.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._maps = MapsWriter(folder)
+        self._episodes: list[pa.Table] = []
+        self._steps: list[pa.Table] = []
+        self._step_count = 0
+        self._known: dict[bytes, int] = {}
+
+    def append(self, episodes: pa.Table, steps: pa.Table, maps: EncodedMaps) -> None:
+        """Append episodes as ``encode_episodes`` gives them: rows counted from 0 are moved to their place."""
+        target = np.empty(len(maps.ee_depth), np.int32)
+        new = []
+        for row, (depth, mask) in enumerate(zip(maps.ee_depth, maps.ee_mask, strict=True)):
+            digest = hashlib.sha256(depth.tobytes() + mask.tobytes()).digest()
+            if digest not in self._known:
+                self._known[digest] = len(self._known)
+                new.append(row)
+            target[row] = self._known[digest]
+        self._maps.append("scene", maps.scene)
+        self._maps.append("ee_depth", maps.ee_depth[new])
+        self._maps.append("ee_mask", maps.ee_mask[new])
+        scene_row = np.arange(self._step_count, self._step_count + len(maps.scene), dtype=np.int32)
+        first = episodes.column("first_step").to_numpy() + np.int32(self._step_count)
+        self._episodes.append(_replaced(episodes, "first_step", first))
+        self._steps.append(_replaced(_replaced(steps, "scene_row", scene_row), "ee_row", target[maps.ee_row]))
+        self._step_count += len(maps.scene)
+
+    def close(self) -> None:
+        """Write the tables and what is left of the maps."""
+        self._maps.close()
+        for name, tables in ((EPISODES, self._episodes), (STEPS, self._steps)):
+            write_atomic(self._folder / name, to_parquet(pa.concat_tables(tables).combine_chunks()))
+
+
+def _replaced(table: pa.Table, name: str, values: Array) -> pa.Table:
+    position = table.schema.get_field_index(name)
+    field = table.schema.field(position)
+    return table.set_column(position, field, pa.array(values, field.type))
+
+
+class BlockReader:
+    """Reads a block.
+
+    Parameters
+    ----------
+    folder : Path
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def episodes(self) -> pa.Table:
+        """Table of the episodes; see ``read_table`` for what it raises."""
+        return read_table(self.folder / EPISODES, EPISODE_COLUMNS)
+
+    def steps(self) -> pa.Table:
+        """Table of the steps; see ``read_table`` for what it raises."""
+        return read_table(self.folder / STEPS, STEP_COLUMNS)
+
+    def maps(self) -> MapsReader:
+        """Reader of the maps."""
+        return MapsReader(self.folder)

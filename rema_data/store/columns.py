@@ -1,0 +1,132 @@
+"""The columns of ``episodes.parquet`` and ``steps.parquet``: name, type, unit, frame and meaning, in one place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import pyarrow as pa
+
+from rema_data.schema import SCHEMA_VERSION
+
+__all__ = ["EPISODE_COLUMNS", "STEP_COLUMNS", "Column", "arrow_schema"]
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column of a table.
+
+    Attributes
+    ----------
+    name : str
+    type : str
+        Arrow type.
+    meaning : str
+    unit : str
+        ``m``, ``rad``, ``N``, or empty.
+    frame : str
+        ``world``, ``hand`` or ``pair`` for a pose; else empty. Frames are defined in ``rema_data.schema``.
+    nullable : bool
+    """
+
+    name: str
+    type: str
+    meaning: str
+    unit: str = ""
+    frame: str = ""
+    nullable: bool = False
+
+
+def _spec(prefix: str, what: str, nullable: bool) -> Iterator[Column]:
+    yield Column(f"{prefix}_shape", "string", f"shape of {what}: I, L or T", nullable=nullable)
+    yield Column(f"{prefix}_length_m", "float64", f"length of the main bar of {what}", "m", nullable=nullable)
+    yield Column(f"{prefix}_width_m", "float64", f"width of the bars of {what}", "m", nullable=nullable)
+    yield Column(f"{prefix}_arm_m", "float64", f"extent of the cross bar of {what}, 0 for an I", "m", nullable=nullable)
+    yield Column(f"{prefix}_height_m", "float64", f"height of {what}", "m", nullable=nullable)
+
+
+def _pose(prefix: str, what: str, frame: str, height: bool, nullable: bool) -> Iterator[Column]:
+    for axis in ("x", "y", "z") if height else ("x", "y"):
+        yield Column(f"{prefix}_{axis}_m", "float64", f"{axis} of {what}'s centre of mass", "m", frame, nullable)
+    yield Column(f"{prefix}_yaw_rad", "float64", f"yaw of {what}", "rad", frame, nullable)
+
+
+def _tool(number: int) -> Iterator[Column]:
+    prefix, what = f"tool{number}", "the tool in the left hand" if number == 0 else "the tool in the right hand"
+    if number == 0:
+        what = "the first tool in hand (the left one of two)"
+    yield from _spec(prefix, what, nullable=True)
+    yield from _pose(prefix, what, "hand", height=True, nullable=True)
+    yield Column(f"{prefix}_opening_m", "float64", f"gap between the fingers that hold {what}", "m", nullable=True)
+
+
+def _pinch() -> Iterator[Column]:
+    what = "the object pinched between two sticks"
+    yield from _spec("pinch", what, nullable=True)
+    yield from _pose("pinch", what, "pair", height=True, nullable=True)
+    yield Column("pinch_left_m", "float64", "distance of the left hand from the pair's origin", "m", "pair", True)
+    yield Column("pinch_right_m", "float64", "distance of the right hand from the pair's origin", "m", "pair", True)
+
+
+_PLACE = (
+    Column("task", "string", "task of the episode"),
+    Column("round", "int16", "collection round, from 1"),
+    Column("split", "string", "train or val, drawn from separate parts of the seed space"),
+    Column("episode", "int32", "position of the episode in its (round, task, split), from 0"),
+)
+
+EPISODE_COLUMNS: tuple[Column, ...] = (
+    *_PLACE,
+    Column("seed", "uint64", "root seed; with task, round, split and episode it keys all that was drawn"),
+    Column("first_step", "int32", "row of the episode's first step in steps.parquet"),
+    Column("steps", "int8", "number of executed steps: an episode ends at its first failed one"),
+    Column("success", "bool", "the last step of the task was reached and succeeded"),
+    Column("failure", "string", "label of the step that ended the episode, null after a success", nullable=True),
+    Column("failed_step", "int8", "position of that step in the task, null after a success", nullable=True),
+)
+"""One row an episode."""
+
+STEP_COLUMNS: tuple[Column, ...] = (
+    *_PLACE,
+    Column("step", "int8", "position of the step in its task, from 0"),
+    Column("last", "bool", "the step is the last of its task: its success is the task's"),
+    Column("skill", "string", "the task whose last step is of this kind; a tool pick is a grasp"),
+    Column("primitive", "string", "grasp or push: the network that answers"),
+    Column("embodiment", "string", "what touches the target: gripper, tool, sticks or pinched"),
+    Column("policy", "string", "behaviour policy"),
+    Column("policy_digest", "string", "sha256 of the policy's code and weights"),
+    Column("action", "uint16", "grid index (i * 64 + j) * 16 + k"),
+    Column("i", "uint8", "row of the action, grows with world y"),
+    Column("j", "uint8", "column of the action, grows with world x"),
+    Column("k", "uint8", "angle of the action: yaw k * 2 pi / 16"),
+    Column("x_m", "float64", "x of the action", "m", "world"),
+    Column("y_m", "float64", "y of the action", "m", "world"),
+    Column("theta_rad", "float64", "yaw of the action", "rad", "world"),
+    Column("arm", "string", "left, right, both, or none where nothing had to be simulated"),
+    Column("success", "bool", "the step succeeded"),
+    Column("failure", "string", "why it failed, null after a success", nullable=True),
+    Column("displacement_m", "float64", "of the target's centre of mass in +x, at rest", "m", "world"),
+    Column("lift_m", "float64", "highest rise of the target's centre of mass", "m", "world"),
+    Column("peak_force_n", "float64", "largest normal force on the hand or tool during the descent", "N"),
+    Column("contact_steps", "int32", "simulation steps in which an allowed body touched the target"),
+    Column("illegal_steps", "int32", "simulation steps in which a forbidden body touched the target"),
+    Column("sim_steps", "int32", "simulation steps taken"),
+    *_spec("target", "the target", nullable=False),
+    *_pose("target", "the target", "world", height=False, nullable=False),
+    *_tool(0),
+    *_tool(1),
+    *_pinch(),
+    Column("scene_row", "int32", "row of the scene map in maps.zarr/scene"),
+    Column("ee_row", "int32", "row of the end-effector map in maps.zarr/ee_depth and maps.zarr/ee_mask"),
+)
+"""One row an executed step. The columns of tools and of the pinched object are null where there is none."""
+
+
+def arrow_schema(columns: tuple[Column, ...]) -> pa.Schema:
+    """Arrow schema of a table, with unit, frame and meaning of every column in its metadata."""
+    fields = []
+    for column in columns:
+        notes = {"meaning": column.meaning, "unit": column.unit, "frame": column.frame}
+        kind = pa.type_for_alias(column.type)
+        fields.append(pa.field(column.name, kind, column.nullable, {k: v for k, v in notes.items() if v}))
+    return pa.schema(fields, {"rema.schema_version": str(SCHEMA_VERSION)})

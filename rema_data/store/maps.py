@@ -1,0 +1,239 @@
+"""The maps of a block: one Zarr v3 group, ``maps.zarr``, with three sharded arrays.
+
+========== ====== ================== ==========================================================
+array      dtype  shape              content
+========== ====== ================== ==========================================================
+scene      uint16 (steps, 64, 64)    height above the table, fixed point (``rema_data.quantise``)
+ee_depth   uint16 (M, 2, 112, 112)   end-effector height of two states, fixed point
+ee_mask    uint8  (M, 2, 112, 14)    may the topmost body touch the target: eight pixels a byte
+========== ====== ================== ==========================================================
+
+M counts end-effector maps that differ: ``ee_row`` of a step points at its own. Each inner chunk carries a CRC-32C, and
+a chunk that is lost reads as values that cannot occur, so that a hole is an error and not a flat table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import zarr
+from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec
+from zarr.errors import BaseZarrError
+from zarr.storage import LocalStore
+
+from rema_data.errors import IntegrityError, MissingFileError
+from rema_data.grid import EE_PIXELS, SCENE_PIXELS
+from rema_data.quantise import HEIGHT_ERROR_M, HEIGHT_OFFSET_M, MISSING
+from rema_data.schema import HEIGHT_STEP_M
+from rema_data.storage import storage_errors
+
+__all__ = ["ARRAYS", "MAPS", "ArrayFormat", "MapsReader", "MapsWriter"]
+
+MAPS = "maps.zarr"
+_DAMAGED = "run `rema verify` on the release, then `rema download` to fetch the damaged file again"
+_MASK_HOLE = 255
+"""Fill value of the masks: a map whose every pixel may touch cannot occur, since its border is always empty."""
+
+
+@dataclass(frozen=True, slots=True)
+class ArrayFormat:
+    """How one array is stored.
+
+    Attributes
+    ----------
+    dtype : str
+    row : tuple of int
+        Shape of one row.
+    chunk_rows, shard_rows : int
+        Rows of an inner chunk (the unit of reading) and of a shard (a file).
+    fill : int
+        What a lost chunk reads as.
+    """
+
+    dtype: str
+    row: tuple[int, ...]
+    chunk_rows: int
+    shard_rows: int
+    fill: int
+
+
+ARRAYS: dict[str, ArrayFormat] = {
+    "scene": ArrayFormat("uint16", (SCENE_PIXELS, SCENE_PIXELS), 128, 8192, MISSING),
+    "ee_depth": ArrayFormat("uint16", (2, EE_PIXELS, EE_PIXELS), 16, 2048, MISSING),
+    "ee_mask": ArrayFormat("uint8", (2, EE_PIXELS, EE_PIXELS // 8), 256, 8192, _MASK_HOLE),
+}
+
+_HEIGHTS = {
+    "unit": "m",
+    "height": "value * step_m + offset_m",
+    "step_m": HEIGHT_STEP_M,
+    "offset_m": HEIGHT_OFFSET_M,
+    "max_error_m": HEIGHT_ERROR_M,
+    "missing": MISSING,
+}
+_ATTRIBUTES: dict[str, dict[str, Any]] = {
+    "scene": _HEIGHTS | {"meaning": "height above the table", "axes": "step, row (world y), column (world x)"},
+    "ee_depth": _HEIGHTS
+    | {"meaning": "height above the end effector's lowest allowed point", "axes": "map, state, row (y), column (x)"},
+    "ee_mask": {
+        "meaning": "1 where the topmost body may touch the target",
+        "packing": "eight pixels of a row in one byte, the first in the highest bit",
+        "axes": "map, state, row (y), column (x) / 8",
+    },
+}
+
+
+class _Buffered:
+    """One growing array that is written a whole shard at a time."""
+
+    def __init__(self, group: zarr.Group, name: str) -> None:
+        form = ARRAYS[name]
+        shuffle: Literal["bitshuffle", "noshuffle"] = "bitshuffle" if form.dtype == "uint16" else "noshuffle"
+        self._form = form
+        self._array = group.create_array(
+            name,
+            shape=(0, *form.row),
+            dtype=form.dtype,
+            chunks=(form.chunk_rows, *form.row),
+            shards=(form.shard_rows, *form.row),
+            serializer=BytesCodec(),
+            compressors=[
+                BloscCodec(cname="zstd", clevel=9, shuffle=shuffle, typesize=np.dtype(form.dtype).itemsize),
+                Crc32cCodec(),
+            ],
+            fill_value=form.fill,
+            config={"write_empty_chunks": True},
+            attributes=_ATTRIBUTES[name],
+        )
+        self._rows: list[npt.NDArray[Any]] = []
+        self._count = 0
+        self.written = 0
+
+    def append(self, rows: npt.NDArray[Any]) -> None:
+        rows = np.ascontiguousarray(rows, self._form.dtype)
+        while len(rows):
+            room = self._form.shard_rows - self._count
+            self._rows.append(rows[:room])
+            self._count += len(rows[:room])
+            rows = rows[room:]
+            if self._count == self._form.shard_rows:
+                self.flush()
+
+    def flush(self) -> None:
+        if self._count:
+            self._array.append(np.concatenate(self._rows))
+            self.written += self._count
+            self._rows, self._count = [], 0
+
+
+class MapsWriter:
+    """Writes ``maps.zarr`` of a block, appending in order.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the block. It must not hold maps yet.
+
+    Raises
+    ------
+    StorageError
+        From any method: the disk is full or may not be written.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / MAPS
+        with storage_errors(self._path):
+            group = zarr.create_group(LocalStore(self._path), zarr_format=3, attributes={"rema": "maps"})
+            self._arrays = {name: _Buffered(group, name) for name in ARRAYS}
+
+    def append(self, name: str, rows: npt.NDArray[Any]) -> None:
+        """Append stored rows (fixed point, packed) to one array."""
+        with storage_errors(self._path):
+            self._arrays[name].append(rows)
+
+    def close(self) -> dict[str, int]:
+        """Write what is left; rows of every array."""
+        with storage_errors(self._path):
+            for array in self._arrays.values():
+                array.flush()
+        return {name: array.written for name, array in self._arrays.items()}
+
+
+class MapsReader:
+    """Reads stored rows of a block's maps. For training use ``rema_data.load``: it decodes once.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the block.
+
+    Raises
+    ------
+    MissingFileError
+        There are no maps.
+    IntegrityError
+        Their metadata are damaged.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / MAPS
+        if not (self._path / "zarr.json").is_file():
+            raise MissingFileError(
+                f"there are no maps at {self._path}", hint="fetch them: rema download", path=str(self._path)
+            )
+        self._arrays: dict[str, zarr.Array[Any]] = {}
+        for name, form in ARRAYS.items():
+            try:
+                array = zarr.open_array(LocalStore(self._path, read_only=True), path=name, mode="r")
+            except (BaseZarrError, OSError, ValueError, KeyError, TypeError) as error:
+                raise self._damage(name, str(error)) from error
+            if array.shape[1:] != form.row or array.dtype != form.dtype:
+                raise self._damage(name, f"it holds {array.dtype} {array.shape}")
+            self._arrays[name] = array
+
+    def _damage(self, name: str, why: str) -> IntegrityError:
+        path = self._path / name
+        return IntegrityError(f"array {path} is damaged: {why}", hint=_DAMAGED, path=str(path))
+
+    def rows(self, name: str) -> int:
+        """Number of rows of an array."""
+        return int(self._arrays[name].shape[0])
+
+    def read(self, name: str, start: int, stop: int) -> npt.NDArray[Any]:
+        """Stored rows ``start`` to ``stop`` of an array.
+
+        Raises
+        ------
+        IntegrityError
+            A chunk is lost or damaged.
+        """
+        array = self._arrays[name]
+        try:
+            rows: npt.NDArray[Any] = np.asarray(array[start:stop])
+        except Exception as error:  # zarr, numcodecs and google_crc32c each raise their own kinds
+            raise self._damage(name, f"rows {start} to {stop} cannot be decoded ({error})") from error
+        hole = _hole(rows, ARRAYS[name].fill)
+        if hole is not None:
+            raise self._damage(name, f"row {start + hole} is missing")
+        return rows
+
+    def pieces(self, name: str) -> Sequence[tuple[int, int]]:
+        """Row ranges of the array's shards: the pieces in which it is best read."""
+        total, step = self.rows(name), ARRAYS[name].shard_rows
+        return [(start, min(start + step, total)) for start in range(0, total, step)]
+
+
+def _hole(rows: npt.NDArray[Any], fill: int) -> int | None:
+    """First row that holds nothing but the fill value."""
+    if not rows.size:
+        return None
+    suspects = np.flatnonzero(rows.reshape(len(rows), -1)[:, 0] == fill)
+    for row in suspects:
+        if (rows[row] == fill).all():
+            return int(row)
+    return None

@@ -1,0 +1,195 @@
+"""Records to rows and back, and the Parquet files of a block."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from rema_data.errors import IntegrityError, MissingFileError
+from rema_data.schema import (
+    Action,
+    Episode,
+    Failure,
+    Grip,
+    ObjectSpec,
+    Pinch,
+    Placement,
+    Shape,
+    Situation,
+    Step,
+    StepOutcome,
+    skill,
+)
+from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, Column, arrow_schema
+
+__all__ = [
+    "episode_row",
+    "episodes_table",
+    "outcome_of",
+    "read_table",
+    "situation_of",
+    "step_row",
+    "steps_table",
+    "to_parquet",
+]
+
+_EVIDENCE = ("arm", "displacement_m", "lift_m", "peak_force_n", "contact_steps", "illegal_steps", "sim_steps")
+_SPEC = tuple(field.name for field in dataclasses.fields(ObjectSpec))
+
+
+def episode_row(episode: Episode, first_step: int) -> dict[str, Any]:
+    """Row of ``episodes.parquet``."""
+    failed = None if episode.success else episode.steps[-1].situation.step
+    return {
+        "task": episode.task,
+        "round": episode.round,
+        "split": episode.split,
+        "episode": episode.index,
+        "seed": episode.seed,
+        "first_step": first_step,
+        "steps": len(episode.steps),
+        "success": episode.success,
+        "failure": None if episode.failure is None else episode.failure.value,
+        "failed_step": failed,
+    }
+
+
+def step_row(episode: Episode, step: Step, scene_row: int, ee_row: int) -> dict[str, Any]:
+    """Row of ``steps.parquet``."""
+    situation, outcome = step.situation, step.outcome
+    i, j, k = step.action.cell
+    x_m, y_m, theta_rad = step.action.pose
+    row: dict[str, Any] = {
+        "task": episode.task,
+        "round": episode.round,
+        "split": episode.split,
+        "episode": episode.index,
+        "step": situation.step,
+        "last": situation.last,
+        "skill": skill(situation.kind),
+        "primitive": situation.kind.primitive.value,
+        "embodiment": situation.kind.embodiment.value,
+        "policy": step.policy,
+        "policy_digest": step.policy_digest,
+        "action": step.action.index,
+        "i": i,
+        "j": j,
+        "k": k,
+        "x_m": x_m,
+        "y_m": y_m,
+        "theta_rad": theta_rad,
+        "success": outcome.success,
+        "failure": None if outcome.failure is None else outcome.failure.value,
+        "scene_row": scene_row,
+        "ee_row": ee_row,
+    }
+    row.update((name, getattr(outcome, name)) for name in _EVIDENCE)
+    parts: dict[str, Placement | Grip | Pinch | None] = {"target": situation.target, "pinch": situation.pinch}
+    parts.update((f"tool{n}", grip) for n, grip in enumerate(situation.grips))
+    for prefix, part in parts.items():
+        if part is not None:
+            row.update(_flat(prefix, part))
+    return row
+
+
+def _flat(prefix: str, part: Placement | Grip | Pinch) -> dict[str, Any]:
+    """Columns of an object and its pose."""
+    flat = {f"{prefix}_{name}": getattr(part.spec, name) for name in _SPEC}
+    flat[f"{prefix}_shape"] = part.spec.shape.value
+    names = [field.name for field in dataclasses.fields(part) if field.name != "spec"]
+    return flat | {f"{prefix}_{name}": getattr(part, name) for name in names}
+
+
+def _part(row: Mapping[str, Any], prefix: str, kind: type) -> Any:
+    if row[f"{prefix}_shape"] is None:
+        return None
+    spec = ObjectSpec(Shape(row[f"{prefix}_shape"]), *(row[f"{prefix}_{name}"] for name in _SPEC[1:]))
+    names = [field.name for field in dataclasses.fields(kind) if field.name != "spec"]
+    return kind(spec, *(row[f"{prefix}_{name}"] for name in names))
+
+
+def situation_of(row: Mapping[str, Any]) -> Situation:
+    """What the step of a row of ``steps.parquet`` started from: with its action, all that the simulator needs."""
+    grips = [_part(row, f"tool{n}", Grip) for n in (0, 1)]
+    held = tuple(grip for grip in grips if grip is not None)
+    return Situation(row["task"], int(row["step"]), _part(row, "target", Placement), held, _part(row, "pinch", Pinch))
+
+
+def outcome_of(row: Mapping[str, Any]) -> StepOutcome:
+    """What came of the step of a row. What it left in the hand stands in the row of the next step."""
+    failure = None if row["failure"] is None else Failure(row["failure"])
+    return StepOutcome(bool(row["success"]), failure, *(row[name] for name in _EVIDENCE))
+
+
+def action_of(row: Mapping[str, Any]) -> Action:
+    """The action of a row."""
+    return Action(int(row["action"]))
+
+
+def _table(rows: Sequence[Mapping[str, Any]], columns: tuple[Column, ...]) -> pa.Table:
+    schema = arrow_schema(columns)
+    return pa.Table.from_pydict({name: [row.get(name) for row in rows] for name in schema.names}, schema=schema)
+
+
+def episodes_table(rows: Sequence[Mapping[str, Any]]) -> pa.Table:
+    """Rows of ``episode_row`` as a table."""
+    return _table(rows, EPISODE_COLUMNS)
+
+
+def steps_table(rows: Sequence[Mapping[str, Any]]) -> pa.Table:
+    """Rows of ``step_row`` as a table."""
+    return _table(rows, STEP_COLUMNS)
+
+
+def to_parquet(table: pa.Table) -> bytes:
+    """A table as Parquet bytes with page checksums, every writer option fixed."""
+    buffer = io.BytesIO()
+    pq.write_table(
+        table,
+        buffer,
+        version="2.6",
+        compression="zstd",
+        compression_level=9,
+        row_group_size=max(1, table.num_rows),
+        data_page_size=1 << 20,
+        use_dictionary=True,
+        write_statistics=True,
+        write_page_checksum=True,
+        store_schema=True,
+    )
+    return buffer.getvalue()
+
+
+def read_table(path: Path, columns: tuple[Column, ...]) -> pa.Table:
+    """A table of a block, checked against its schema.
+
+    Raises
+    ------
+    MissingFileError
+        It is not there.
+    IntegrityError
+        It is not a whole Parquet file, or has other columns.
+    """
+    hint = "run `rema verify` on the release, then `rema download` to fetch the damaged file again"
+    try:
+        table = pq.read_table(path, page_checksum_verification=True)
+    except FileNotFoundError:
+        raise MissingFileError(f"table {path} does not exist", hint="run `rema download`", path=str(path)) from None
+    except (pa.ArrowInvalid, OSError) as error:
+        raise IntegrityError(f"table {path} is damaged: {error}", hint=hint, path=str(path)) from error
+    wanted = arrow_schema(columns)
+    if table.schema.names != wanted.names or table.schema.types != wanted.types:
+        names = set(wanted.names) ^ set(table.schema.names)
+        what = f"other columns ({', '.join(sorted(names))})" if names else "columns of other types"
+        raise IntegrityError(
+            f"table {path} has {what} than schema version {wanted.metadata[b'rema.schema_version'].decode()}",
+            hint="install the version of rema that the release belongs to",
+            path=str(path),
+        )
+    return table

@@ -1,0 +1,130 @@
+"""Small synthetic releases, for tests of whatever reads one. No simulator is needed, and nothing in them is physics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from rema_data.grid import EE_PIXELS, SCENE_PIXELS, encode
+from rema_data.release.folder import ReleaseFolder
+from rema_data.release.manifest import Manifest
+from rema_data.release.seal import Description, seal
+from rema_data.schema import (
+    TASKS,
+    Action,
+    Embodiment,
+    Episode,
+    Failure,
+    Grip,
+    ObjectSpec,
+    Observation,
+    Pinch,
+    Placement,
+    Shape,
+    Situation,
+    Step,
+    StepOutcome,
+)
+from rema_data.store.block import BlockKey, BlockWriter, encode_episodes
+
+__all__ = ["FINGERPRINT", "make_block", "make_release", "synthetic_episode"]
+
+FINGERPRINT = {"pybullet": "0.0.0", "parameters": "0" * 64, "probe": "0" * 64}
+_DIGEST = "1" * 64
+_CHUNK = 256
+
+
+def _spec(rng: np.random.Generator) -> ObjectSpec:
+    shape = list(Shape)[int(rng.integers(3))]
+    length, width = float(rng.uniform(0.08, 0.14)), float(rng.uniform(0.02, 0.03))
+    return ObjectSpec(shape, length, width, 0.0 if shape is Shape.I else length * 0.7, 0.03)
+
+
+def _rectangle(rng: np.random.Generator, size: int, height: int) -> np.ndarray:
+    plane = np.zeros((size, size), np.uint16)
+    row, column = (int(value) for value in rng.integers(8, size - 24, 2))
+    plane[row : row + int(rng.integers(4, 16)), column : column + int(rng.integers(4, 16))] = height
+    return plane
+
+
+def _observation(rng: np.random.Generator, bare: bool) -> Observation:
+    """Boxes on a table; a bare gripper always looks the same."""
+    hand = np.random.default_rng(0) if bare else rng
+    depth = np.stack([_rectangle(hand, EE_PIXELS, 500) for _ in range(2)])
+    return Observation(_rectangle(rng, SCENE_PIXELS, 300), depth, depth > 0)
+
+
+def synthetic_episode(key: BlockKey, index: int, seed: int = 0, success: float = 0.3) -> Episode:
+    """An episode as a function of its arguments: steps succeed with probability ``success``, tool picks mostly."""
+    path = (seed, key.round, list(TASKS).index(key.task), key.split == "val", index)
+    rng = np.random.default_rng(np.random.SeedSequence(path))
+    steps: list[Step] = []
+    grips: tuple[Grip, ...] = ()
+    pinch: Pinch | None = None
+    for number, kind in enumerate(TASKS[key.task]):
+        x_m, y_m, yaw_rad = rng.uniform((-0.1, -0.1, 0.0), (0.1, 0.1, 6.0)).tolist()
+        place = Placement(_spec(rng), x_m, y_m, yaw_rad)
+        situation = Situation(key.task, number, place, grips, pinch)
+        angles = 8 if kind.embodiment.two_arms else 16
+        action = encode(*(int(value) for value in (*rng.integers(4, 60, 2), rng.integers(angles))))
+        won = bool(rng.random() < (success if situation.last else 0.9))
+        failure = None if won else (Failure.MISSED, Failure.BLOCKED, Failure.SLIPPED)[int(rng.integers(3))]
+        outcome = StepOutcome(won, failure, "left", lift_m=0.3 if won else 0.0, sim_steps=int(rng.integers(1, 300)))
+        seen = _observation(rng, kind.embodiment is Embodiment.GRIPPER)
+        name = "random" if situation.last else "reference"
+        steps.append(Step(situation, seen, Action(int(action)), outcome, name, _DIGEST))
+        if not won:
+            break
+        if kind.embodiment is Embodiment.GRIPPER:
+            grips = (*grips, Grip(place.spec, 0.0, 0.004, -0.01, 1.5, place.spec.width_m))
+        elif not situation.last:
+            pinch = Pinch(place.spec, 0.0, 0.0, 0.0, 0.5, 0.1, 0.1)
+    return Episode(key.task, key.round, key.split, index, seed, tuple(steps))
+
+
+def make_block(folder: Path, key: BlockKey, episodes: int, seed: int = 0, success: float = 0.3) -> None:
+    """Write a synthetic block of so many episodes into ``folder``."""
+    writer = BlockWriter(folder)
+    for start in range(0, episodes, _CHUNK):
+        stop = min(start + _CHUNK, episodes)
+        writer.append(*encode_episodes([synthetic_episode(key, n, seed, success) for n in range(start, stop)]))
+    writer.close()
+
+
+def make_release(
+    root: Path,
+    name: str = "tiny",
+    tasks: Sequence[str] = ("grasp", "grasp_push"),
+    rounds: Iterable[int] = (1,),
+    episodes: int = 20,
+    seed: int = 0,
+    success: float = 0.3,
+    parent: Manifest | None = None,
+    reused: Sequence[BlockKey] = (),
+) -> ReleaseFolder:
+    """Seal a synthetic release below ``root``: ``episodes`` for training and a fifth of it for validation in a block.
+
+    Parameters
+    ----------
+    root : Path
+        Folder of releases.
+    name : str
+    tasks : sequence of str
+    rounds : iterable of int
+    episodes : int
+        In each training block.
+    seed : int
+    success : float
+        Probability that a last step succeeds.
+    parent, reused
+        As in ``rema_data.release.seal.seal``.
+    """
+    staging = root / f".{name}.staging"
+    counts = {"train": episodes, "val": max(1, episodes // 5)}
+    keys = [BlockKey(number, task, split) for number in rounds for task in tasks for split in counts]
+    for key in keys:
+        make_block(staging / key.path, key, counts[key.split], seed, success)
+    about = Description(name, f"The release {name}", "Synthetic: for tests only.", "CC-BY-4.0", "The rema authors")
+    return seal(staging, root, about, keys, fingerprint=FINGERPRINT, parent=parent, reused=reused)
