@@ -17,12 +17,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import zarr
-from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec
+from zarr.codecs import BytesCodec, Crc32cCodec, ZstdCodec
 from zarr.errors import BaseZarrError
 from zarr.storage import LocalStore
 
@@ -36,6 +36,8 @@ __all__ = ["ARRAYS", "MAPS", "ArrayFormat", "MapsReader", "MapsWriter"]
 
 MAPS = "maps.zarr"
 _DAMAGED = "run `rema verify` on the release, then `rema download` to fetch the damaged file again"
+_LEVEL = 19
+"""Of zstd. Shuffling makes these maps larger: they are long runs of equal 16-bit values (benchmarks/codecs.py)."""
 _MASK_HOLE = 255
 """Fill value of the masks: a map whose every pixel may touch cannot occur, since its border is always empty."""
 
@@ -63,8 +65,8 @@ class ArrayFormat:
 
 
 ARRAYS: dict[str, ArrayFormat] = {
-    "scene": ArrayFormat("uint16", (SCENE_PIXELS, SCENE_PIXELS), 128, 8192, MISSING),
-    "ee_depth": ArrayFormat("uint16", (2, EE_PIXELS, EE_PIXELS), 16, 2048, MISSING),
+    "scene": ArrayFormat("uint16", (SCENE_PIXELS, SCENE_PIXELS), 256, 8192, MISSING),
+    "ee_depth": ArrayFormat("uint16", (2, EE_PIXELS, EE_PIXELS), 64, 2048, MISSING),
     "ee_mask": ArrayFormat("uint8", (2, EE_PIXELS, EE_PIXELS // 8), 256, 8192, _MASK_HOLE),
 }
 
@@ -93,7 +95,6 @@ class _Buffered:
 
     def __init__(self, group: zarr.Group, name: str) -> None:
         form = ARRAYS[name]
-        shuffle: Literal["bitshuffle", "noshuffle"] = "bitshuffle" if form.dtype == "uint16" else "noshuffle"
         self._form = form
         self._array = group.create_array(
             name,
@@ -102,10 +103,7 @@ class _Buffered:
             chunks=(form.chunk_rows, *form.row),
             shards=(form.shard_rows, *form.row),
             serializer=BytesCodec(),
-            compressors=[
-                BloscCodec(cname="zstd", clevel=9, shuffle=shuffle, typesize=np.dtype(form.dtype).itemsize),
-                Crc32cCodec(),
-            ],
+            compressors=[ZstdCodec(level=_LEVEL), Crc32cCodec()],
             fill_value=form.fill,
             config={"write_empty_chunks": True},
             attributes=_ATTRIBUTES[name],

@@ -48,6 +48,49 @@ def test_the_main_job(tmp_path: Path) -> None:
     assert "published" in table.stdout
 
 
+def test_the_training_loop_runs_as_written(tmp_path: Path) -> None:
+    """Before any download, on the bundled sample."""
+    loop = re.search(r"```python\n(import torch.*?)```", README, flags=re.DOTALL)
+    assert loop
+    script = tmp_path / "loop.py"
+    # Spawned workers import the script again: the guard is what a user's own file would have.
+    body = "".join(f"    {line}\n" for line in loop.group(1).splitlines())
+    body += "    print(len(sampler), tuple(maps.end_effector.shape))\n"
+    script.write_text(f"def main():\n{body}\nif __name__ == '__main__':\n    main()\n")
+    done = subprocess.run(
+        [sys.executable, str(script)],
+        cwd=tmp_path,
+        env={**os.environ, "REMA_HOME": str(tmp_path / "home"), "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=180,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split(maxsplit=1)[1].strip() == "(8, 4, 112, 112)"
+
+
+def test_the_training_example_learns(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [
+            sys.executable,
+            str(ROOT / "examples/train.py"),
+            "--release",
+            "rema-sample",
+            "--batches",
+            "3",
+            "--workers",
+            "0",
+        ],
+        cwd=tmp_path,
+        env={**os.environ, "REMA_HOME": str(tmp_path / "home"), "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=180,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "AUC" in done.stdout
+
+
 def test_every_verb_of_the_readme_exists() -> None:
     named = set(re.findall(r"^rema (\w+)", README, flags=re.MULTILINE)) | set(re.findall(r"&& rema (\w+)", README))
     assert named
