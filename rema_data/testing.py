@@ -71,7 +71,9 @@ def synthetic_episode(key: BlockKey, index: int, seed: int = 0, success: float =
         action = encode(*(int(value) for value in (*rng.integers(4, 60, 2), rng.integers(angles))))
         won = bool(rng.random() < (success if situation.last else 0.9))
         failure = None if won else (Failure.MISSED, Failure.BLOCKED, Failure.SLIPPED)[int(rng.integers(3))]
-        outcome = StepOutcome(won, failure, "left", lift_m=0.3 if won else 0.0, sim_steps=int(rng.integers(1, 300)))
+        outcome = StepOutcome(
+            won, failure, "left", 0.15 if won else 0.0, 0.3 if won else 0.0, sim_steps=int(rng.integers(1, 300))
+        )
         seen = _observation(rng, kind.embodiment is Embodiment.GRIPPER)
         name = "random" if situation.last else "reference"
         steps.append(Step(situation, seen, Action(int(action)), outcome, name, _DIGEST))

@@ -1,15 +1,76 @@
-"""The card of a release: datasheet, Croissant description, licence and citation, written beside the data."""
+"""The card of a release: datasheet, Croissant description, licence and citation, written beside the data.
+
+Every byte follows from the manifest: sealing the same data twice gives the same card.
+"""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
+from rema_data.release.croissant import croissant
+from rema_data.release.datasheet import datasheet
+from rema_data.release.licences import licence_notice, licence_url
 from rema_data.release.manifest import Manifest
 from rema_data.storage import write_atomic
 
-__all__ = ["write_card"]
+__all__ = ["CARD", "write_card"]
+
+CARD = ("CITATION.cff", "DATASHEET.md", "LICENSE", "croissant.json")
+"""Files of the card, in the release's own folder."""
+
+_PAPER = """\
+references:
+  - type: article
+    title: "Tool as Embodiment for Recursive Manipulation"
+    authors:
+      - family-names: Noguchi
+        given-names: Yuki
+      - family-names: Matsushima
+        given-names: Tatsuya
+      - family-names: Matsuo
+        given-names: Yutaka
+      - family-names: Gu
+        given-names: Shixiang Shane
+    year: 2021
+    url: "https://arxiv.org/abs/2112.00359"
+"""
 
 
 def write_card(folder: Path, manifest: Manifest) -> None:
-    """Write the card of a release that is about to be sealed; ``manifest`` lists its data files."""
-    write_atomic(folder / "DATASHEET.md", f"# {manifest.title}\n\n{manifest.description}\n")
+    """Write the card of a release that is about to be sealed.
+
+    Parameters
+    ----------
+    folder : Path
+        The release's own folder.
+    manifest : Manifest
+        A draft that lists the data files.
+
+    Raises
+    ------
+    StorageError
+        The disk is full or may not be written.
+    """
+    description = json.dumps(croissant(manifest), indent=1, ensure_ascii=False) + "\n"
+    texts = (_citation(manifest), datasheet(manifest), licence_notice(manifest), description)
+    for name, text in zip(CARD, texts, strict=True):
+        write_atomic(folder / name, text)
+
+
+def _citation(manifest: Manifest) -> str:
+    """Citation File Format 1.2.0. JSON strings are valid YAML."""
+    dated = {"date-released": manifest.published} if manifest.published else {}
+    fields = {
+        "message": f"If you use this release, please cite it: {manifest.citation}",
+        "title": manifest.title,
+        "type": "dataset",
+        "version": manifest.name,
+        **dated,
+        "license": manifest.license,
+        "license-url": licence_url(manifest.license),
+        "abstract": manifest.description,
+    }
+    lines = [f"{name}: {json.dumps(value, ensure_ascii=False)}" for name, value in fields.items()]
+    authors = json.dumps(f"The authors of {manifest.name}")
+    return "\n".join(["cff-version: 1.2.0", *lines, "authors:", f"  - name: {authors}", _PAPER])

@@ -18,7 +18,7 @@ from typing import Any
 
 from rema_data.errors import InputError, IntegrityError, RemaError
 from rema_data.quantise import HEIGHT_ERROR_M, HEIGHT_OFFSET_M, MISSING
-from rema_data.schema import HEIGHT_STEP_M, SCHEMA_VERSION
+from rema_data.schema import HEIGHT_STEP_M, SCHEMA_VERSION, TASKS
 from rema_data.store.block import BlockKey
 
 __all__ = ["FORMAT", "MANIFEST", "BlockEntry", "FileEntry", "Manifest", "Parent", "check_name", "parse_manifest"]
@@ -36,6 +36,7 @@ ENCODING: dict[str, float] = {
 
 _NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
 _SHA = re.compile(r"[0-9a-f]{64}")
+_DAY = re.compile(r"\d{4}-\d{2}-\d{2}|")
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +131,8 @@ class Manifest:
     parent : Parent or None
     sources : tuple of str
         URLs of folders of releases, in the order in which they are tried.
+    published : str
+        Day of publication as YYYY-MM-DD, or empty.
     schema_version : int
     """
 
@@ -144,6 +147,7 @@ class Manifest:
     plan_sha256: str = ""
     parent: Parent | None = None
     sources: tuple[str, ...] = ()
+    published: str = ""
     schema_version: int = SCHEMA_VERSION
 
     def to_bytes(self) -> bytes:
@@ -156,6 +160,7 @@ class Manifest:
             "description": self.description,
             "license": self.license,
             "citation": self.citation,
+            **({"published": self.published} if self.published else {}),
             "parent": None if self.parent is None else dataclasses.asdict(self.parent),
             "sources": list(self.sources),
             "fingerprint": dict(self.fingerprint),
@@ -335,6 +340,9 @@ def _checked(content: dict[str, Any]) -> Manifest:
         if not isinstance(text, str):
             raise ValueError(f"{name} is {text!r}")
     check_name(texts["name"])
+    texts["published"] = content.get("published", "")
+    if not _DAY.fullmatch(texts["published"]):
+        raise ValueError(f"published is {texts['published']!r}, not a day such as 2026-01-31")
     for name in {file.holder for file in files} | {block.holder for block in blocks}:
         check_name(name)
     for file in files:
@@ -349,6 +357,8 @@ def _checked(content: dict[str, Any]) -> Manifest:
         raise ValueError("a block is listed twice")
     for block in blocks:
         BlockKey.parse(block.key.path)
+        if len(block.policies) != len(TASKS[block.task]):
+            raise ValueError(f"{block.key.path} does not name a policy for each step of {block.task}")
     for file in files:
         holder = texts["name"] if file.block is None else holders.get(file.block)
         if file.holder != holder:

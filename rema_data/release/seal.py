@@ -10,7 +10,7 @@ import hashlib
 import os
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import pyarrow.compute as pc
@@ -35,6 +35,8 @@ class Description:
     name, title, description, license, citation : str
     sources : tuple of str
         URLs of folders of releases.
+    published : str
+        Day of publication as YYYY-MM-DD, or empty.
     """
 
     name: str
@@ -43,6 +45,7 @@ class Description:
     license: str
     citation: str
     sources: tuple[str, ...] = ()
+    published: str = ""
 
 
 def file_sha256(path: Path) -> str:
@@ -126,7 +129,7 @@ def seal(
     kept = {block.key.path for block in blocks if block.key in set(reused)}
     shared = [] if parent is None else [file for file in parent.files if file.block in kept]
     draft = Manifest(
-        **{name: getattr(about, name) for name in ("name", "title", "description", "license", "citation", "sources")},
+        **{item.name: getattr(about, item.name) for item in fields(about)},
         blocks=tuple(blocks),
         files=tuple(_sorted(_entries(staging, about.name) + shared)),
         fingerprint=fingerprint,
@@ -134,9 +137,7 @@ def seal(
         parent=None if parent is None else Parent(parent.name, parent.sha256),
     )
     write_card(staging, draft)
-    manifest = Manifest(
-        **{**draft.__dict__, "files": tuple(_sorted(_entries(staging, about.name) + shared))},
-    )
+    manifest = replace(draft, files=tuple(_sorted(_entries(staging, about.name) + shared)))
     data = manifest.to_bytes()
     parse_manifest(data, str(target / MANIFEST), manifest.sha256)
     write_atomic(staging / MANIFEST, data)

@@ -47,7 +47,7 @@ def _spec(prefix: str, what: str, nullable: bool) -> Iterator[Column]:
 
 def _pose(prefix: str, what: str, frame: str, height: bool, nullable: bool) -> Iterator[Column]:
     for axis in ("x", "y", "z") if height else ("x", "y"):
-        yield Column(f"{prefix}_{axis}_m", "float64", f"{axis} of {what}'s centre of mass", "m", frame, nullable)
+        yield Column(f"{prefix}_{axis}_m", "float64", f"{axis} of the centre of mass of {what}", "m", frame, nullable)
     yield Column(f"{prefix}_yaw_rad", "float64", f"yaw of {what}", "rad", frame, nullable)
 
 

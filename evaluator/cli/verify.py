@@ -1,0 +1,117 @@
+"""``rema verify``: every byte and every invariant of a release."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from rema_data.errors import IntegrityError
+from rema_data.schema import TASKS
+from rema_data.store.block import SPLITS
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from rema_data.verify import Report
+
+__all__ = ["verify"]
+
+_MENDS = 10
+"""So many mending commands are printed."""
+
+
+@click.command()
+@click.argument("release", required=False)
+@click.option("--task", "tasks", multiple=True, type=click.Choice(list(TASKS)), help="Only this one (repeatable).")
+@click.option("--round", "rounds", multiple=True, type=click.IntRange(min=1), help="Only this one (repeatable).")
+@click.option("--split", type=click.Choice(list(SPLITS)), help="Only this one.")
+@click.option("--repair", is_flag=True, help="Fetch damaged files of a downloaded release again.")
+@click.option("--json", "as_json", is_flag=True, help="Print one object.")
+@click.pass_context
+def verify(
+    ctx: click.Context,
+    release: str | None,
+    tasks: tuple[str, ...],
+    rounds: tuple[int, ...],
+    split: str | None,
+    repair: bool,
+    as_json: bool,
+) -> None:
+    """Check every byte and every invariant of RELEASE; exit code 6 where something is wrong.
+
+    RELEASE is a name or a folder; by default the newest release on this machine.
+    """
+    from evaluator.cli.progress import StderrProgress
+    from rema_data.release.folder import find_release
+    from rema_data.verify import verify as check
+
+    found = find_release(release)
+
+    def run() -> Report:
+        with StderrProgress() as progress:
+            return check(found, tasks or None, rounds or None, split, progress)
+
+    report = run()
+    if repair and report.damaged:
+        from rema_data.verify.repair import repair as mend
+
+        mend(found, report)
+        click.echo(f"fetched {len(report.damaged)} files again", err=True)
+        report = run()
+    if as_json:
+        click.echo(json.dumps(report.to_dict(), indent=2))
+    else:
+        _print(report)
+    if not report.ok:
+        ctx.exit(IntegrityError.exit_code)
+
+
+def _print(report: Report) -> None:
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console()
+    n = {name: f"{count:,}" for name, count in report.checked.items()}
+    console.print(Text(f"{report.release} ({report.sha256[:12]}) in {report.root}"), soft_wrap=True)
+    console.print(
+        Text(
+            f"{n['blocks']} blocks, {n['files']} files, {n['bytes']} bytes, {n['episodes']} episodes, {n['steps']} "
+            f"steps, {n['end_effectors']} end-effector maps; compared with {n['frozen_scenes']} frozen scenes"
+        )
+    )
+    if report.absent:
+        console.print(Text(f"not downloaded, not checked: {', '.join(report.absent)}", style="yellow"))
+    if report.ok:
+        console.print(Text("nothing is wrong", style="green"))
+        return
+    console.print(_findings(report))
+    for kind, count in report.counts.items():
+        listed = sum(finding.kind == kind for finding in report.findings)
+        if count > listed:
+            console.print(Text(f"{count - listed} more of the kind {kind}"))
+    if report.unread:
+        console.print(Text(f"contents not checked, or not all: {', '.join(report.unread)}", style="yellow"))
+    mends = list(dict.fromkeys(finding.mend for finding in report.findings))
+    console.print(Text("to mend it:", style="bold"))
+    for mend in mends[:_MENDS]:
+        console.print(Text(f"  {mend}"), soft_wrap=True)
+    if len(mends) > _MENDS:
+        console.print(Text(f"  ... and {len(mends) - _MENDS} more: rema verify --json lists them"))
+
+
+def _findings(report: Report) -> Table:
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    for name in ("what", "file", "where", "detail"):
+        table.add_column(name, overflow="fold")
+    for finding in report.findings:
+        file = Path(finding.file)
+        shown = file.relative_to(report.root) if file.is_relative_to(report.root) else file
+        table.add_row(Text(finding.kind, style="red"), Text(str(shown)), Text(finding.where), Text(finding.detail))
+    return table

@@ -1,0 +1,163 @@
+"""Everything together: what was found, what is wrong, and what would be better."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from rema_data.doctor.disposable import PARTIAL, READY, Disposable, disposables
+from rema_data.doctor.places import Home, ReleaseState, home, local_releases
+from rema_data.doctor.speed import Speed, measure
+from rema_data.doctor.versions import PackageVersion, package_versions
+from rema_data.errors import RemaError
+from rema_data.loader.decode import map_rows, row_bytes
+from rema_data.loader.release import Release
+from rema_data.release.folder import ReleaseFolder
+from rema_data.release.registry import SAMPLE
+
+__all__ = ["NEEDED_PER_S", "Diagnosis", "diagnose"]
+
+NEEDED_PER_S = 2_400.0
+"""Samples a second that training asks for: batches of 8, as in the paper, 300 times a second."""
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The state of this machine.
+
+    Attributes
+    ----------
+    versions : sequence of PackageVersion
+    home : Home
+    releases : sequence of ReleaseState
+    disposable : sequence of Disposable
+        Decoded caches and partial downloads.
+    tested : str
+        Release that was read; empty where there is none, or no test was wanted.
+    speeds : sequence of Speed
+    problems : sequence of str
+        What is wrong, each with what mends it.
+    advice : sequence of str
+        What would be better.
+    """
+
+    versions: Sequence[PackageVersion]
+    home: Home
+    releases: Sequence[ReleaseState]
+    disposable: Sequence[Disposable]
+    tested: str
+    speeds: Sequence[Speed]
+    problems: Sequence[str]
+    advice: Sequence[str]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        releases = [
+            {name: getattr(state, name) for name in ("name", "path", "identity", "blocks", "blocks_total", "bytes")}
+            for state in self.releases
+        ]
+        return {
+            "ok": not self.problems,
+            "versions": [asdict(version) for version in self.versions],
+            "home": asdict(self.home),
+            "releases": releases,
+            "disposable": [asdict(item) for item in self.disposable],
+            "tested": self.tested,
+            "speeds": [asdict(speed) for speed in self.speeds],
+            "problems": list(self.problems),
+            "advice": list(self.advice),
+        }
+
+
+def diagnose(read_seconds: float = 1.0, note: Callable[[str], None] = lambda text: None) -> Diagnosis:
+    """Look at this machine.
+
+    Parameters
+    ----------
+    read_seconds : float
+        Length of each of the four reading tests; 0 leaves them out. The first test of a release builds its decoded
+        cache, as training would.
+    note : callable
+        Called with a line of what is done next, where it takes time.
+    """
+    state, releases = home(), local_releases()
+    problems = list(_problems(package_versions(), state, releases))
+    chosen, speeds = _newest(releases), list[Speed]()
+    if chosen is not None and read_seconds > 0:
+        note(f"reading {chosen.manifest.name} (decoded first, where it has not been)")
+        try:
+            speeds = list(measure(Release(chosen), read_seconds))
+        except RemaError as error:
+            problems.append(f"{chosen.manifest.name} cannot be read: {error}")
+    found = disposables(releases)
+    return Diagnosis(
+        package_versions(),
+        state,
+        releases,
+        found,
+        chosen.manifest.name if chosen is not None and speeds else "",
+        speeds,
+        problems,
+        list(_advice(state, releases, found, speeds)),
+    )
+
+
+def _newest(releases: Sequence[ReleaseState]) -> ReleaseFolder | None:
+    """The release to read: the newest published one, else the sample, else any other."""
+    here = [state for state in releases if state.ok and state.blocks and state.folder is not None]
+    published = [state for state in here if state.identity == "published"]  # in the order of their publication
+    preferred = [state for state in published if state.name != SAMPLE] or published or here
+    if not preferred:
+        return None
+    same = [state for state in preferred if state.name == preferred[-1].name]
+    return max(same, key=lambda state: state.blocks).folder
+
+
+def _problems(versions: Sequence[PackageVersion], state: Home, releases: Sequence[ReleaseState]) -> Iterator[str]:
+    for item in versions:
+        if item.version is None:
+            yield f"{item.name} is not installed: pip install rema"
+        elif not item.ok:
+            yield f"{item.name} {item.version} is outside of {item.wanted}: pip install --upgrade rema"
+    if not state.writable:
+        yield f"{state.path} cannot be written: set REMA_HOME to another folder"
+    for release in releases:
+        if not release.ok:
+            yield f"{release.path}: {release.identity}; find out more: rema verify {release.path}"
+
+
+def _advice(
+    state: Home, releases: Sequence[ReleaseState], found: Sequence[Disposable], speeds: Sequence[Speed]
+) -> Iterator[str]:
+    if not any(release.blocks for release in releases):
+        yield "no release is on this machine: rema download"
+    ready = {item.release for item in found if item.state == READY}
+    for release in releases:
+        size = 0 if release.folder is None or release.name in ready else _decoded_bytes(release)
+        if size > state.free_bytes:
+            yield (
+                f"the decoded cache of {release.name} needs {size / 1e9:.1f} GB, {state.free_bytes / 1e9:.1f} GB are "
+                f"free at {state.path}: set REMA_HOME to a larger disk, or use rema_data.load(..., cache='memory')"
+            )
+    for name in sorted({item.release for item in found if item.state == PARTIAL}):
+        yield f"a download of {name} is not finished: rema download {name}"
+    wasted = sum(item.bytes for item in found if item.state not in (READY, PARTIAL))
+    if wasted:
+        yield f"{wasted / 1e6:.0f} MB of decoded caches are of no use any more: rema doctor --prune"
+    slow = {speed.delivery for speed in speeds if speed.samples_per_s < NEEDED_PER_S}
+    if "quantised" in slow:
+        yield (
+            f"fewer than {NEEDED_PER_S:,.0f} samples a second are read: the decoded cache is on a slow disk or larger "
+            "than the memory; set REMA_HOME to a local disk, or read with num_workers"
+        )
+    elif slow:
+        yield (
+            f"float32 batches come slower than {NEEDED_PER_S:,.0f} samples a second: take quantised ones and convert "
+            "them on the device with batch.to(device).float()"
+        )
+
+
+def _decoded_bytes(release: ReleaseState) -> int:
+    assert release.folder is not None
+    return sum(rows * row_bytes(name) for name, rows in map_rows(release.folder.blocks()).items())

@@ -1,0 +1,38 @@
+"""Licences of data by their SPDX identifier: where the text is, and the notice that goes with a release."""
+
+from __future__ import annotations
+
+from rema_data.release.manifest import Manifest
+
+__all__ = ["licence_notice", "licence_url"]
+
+_CREATIVE_COMMONS = {
+    "CC-BY-4.0": ("Creative Commons Attribution 4.0 International", "https://creativecommons.org/licenses/by/4.0/"),
+    "CC0-1.0": ("Creative Commons Zero 1.0 Universal", "https://creativecommons.org/publicdomain/zero/1.0/"),
+}
+_TERMS = {
+    "CC-BY-4.0": "You may copy, share and adapt it for any purpose, also commercially, if you name its source, link to "
+    "the licence\nand say what you changed.",
+    "CC0-1.0": "Its authors have waived their rights: you may use it for any purpose without asking.",
+}
+
+
+def licence_url(identifier: str) -> str:
+    """Where the text of a licence is."""
+    if identifier in _CREATIVE_COMMONS:
+        return _CREATIVE_COMMONS[identifier][1]
+    return f"https://spdx.org/licenses/{identifier}.html"
+
+
+def licence_notice(manifest: Manifest) -> str:
+    """The file LICENSE of a release: a notice that points to the whole text."""
+    identifier = manifest.license
+    name = _CREATIVE_COMMONS.get(identifier, (identifier, ""))[0]
+    terms = f"\n{_TERMS[identifier]}\n" if identifier in _TERMS else ""
+    return (
+        f"{manifest.title} ({manifest.name})\n\n"
+        f"The data of this release are licensed under {name}.\n"
+        f"SPDX-License-Identifier: {identifier}\n{terms}\n"
+        f"Full text: {licence_url(identifier)}\n\n"
+        f"Please cite: {manifest.citation}\n"
+    )

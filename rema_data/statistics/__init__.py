@@ -1,0 +1,1 @@
+"""What a release holds, in numbers: ``count`` (the table), ``paper`` (beside the published one), ``plot``."""

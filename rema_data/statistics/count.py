@@ -1,0 +1,171 @@
+"""Positives and negatives of a release by round, task, split and step.
+
+An episode counts once at every step that it executed: it *reaches* the step, which succeeds (positive) or fails
+(negative, and the episode ends). A row of a *task* is an episode that reached the task's last step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from rema_data.release.folder import ReleaseFolder
+from rema_data.release.manifest import BlockEntry
+from rema_data.schema import TASKS, skill
+from rema_data.store.block import BlockReader
+
+__all__ = ["Statistics", "StepCount", "TaskTotal", "count"]
+
+
+@dataclass(frozen=True, slots=True)
+class StepCount:
+    """One step of one block.
+
+    Attributes
+    ----------
+    round : int
+    task, split : str
+    step : int
+        Position in the task, from 0.
+    last : bool
+        The success of this step is the success of the task.
+    skill : str
+        The task whose last step is of this kind; a tool pick is a ``grasp``.
+    policy : str
+        Who acted at this step; several names are joined by ``+``.
+    reached, positives : int
+        Episodes that executed the step, and those in which it succeeded.
+    """
+
+    round: int
+    task: str
+    split: str
+    step: int
+    last: bool
+    skill: str
+    policy: str
+    reached: int
+    positives: int
+
+    @property
+    def negatives(self) -> int:
+        """Episodes that ended here with a failure."""
+        return self.reached - self.positives
+
+
+@dataclass(frozen=True, slots=True)
+class TaskTotal:
+    """One task over all rounds and splits that are on this machine.
+
+    Attributes
+    ----------
+    task : str
+    episodes : int
+    reached, positives : int
+        Of the last step.
+    executed : int
+        Steps of all positions.
+    """
+
+    task: str
+    episodes: int
+    reached: int
+    positives: int
+    executed: int
+
+    @property
+    def negatives(self) -> int:
+        """Last steps that failed."""
+        return self.reached - self.positives
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What a release holds.
+
+    Attributes
+    ----------
+    release, sha256 : str
+        Name and identity.
+    steps : tuple of StepCount
+        Of the blocks that are on this machine, in the order of the manifest.
+    missing : tuple of BlockEntry
+        Blocks that are not: the manifest knows their episodes, but not how many reached which step.
+    """
+
+    release: str
+    sha256: str
+    steps: tuple[StepCount, ...]
+    missing: tuple[BlockEntry, ...]
+
+    def totals(self) -> tuple[TaskTotal, ...]:
+        """Sums by task, in the order of ``TASKS``."""
+        return tuple(_total(task, rows) for task, rows in _by_task(self.steps).items())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything as plain dictionaries and numbers, ready for JSON."""
+        return {
+            "release": self.release,
+            "sha256": self.sha256,
+            "steps": [asdict(row) | {"negatives": row.negatives} for row in self.steps],
+            "tasks": [asdict(row) | {"negatives": row.negatives} for row in self.totals()],
+            "missing": [asdict(block) for block in self.missing],
+        }
+
+
+def _by_task(steps: Iterable[StepCount]) -> Mapping[str, list[StepCount]]:
+    grouped: dict[str, list[StepCount]] = {task: [] for task in TASKS}
+    for row in steps:
+        grouped[row.task].append(row)
+    return {task: rows for task, rows in grouped.items() if rows}
+
+
+def _total(task: str, rows: list[StepCount]) -> TaskTotal:
+    last = [row for row in rows if row.last]
+    return TaskTotal(
+        task,
+        episodes=sum(row.reached for row in rows if row.step == 0),
+        reached=sum(row.reached for row in last),
+        positives=sum(row.positives for row in last),
+        executed=sum(row.reached for row in rows),
+    )
+
+
+def count(release: ReleaseFolder) -> Statistics:
+    """Count the steps of a release, from the tables that are on this machine.
+
+    Raises
+    ------
+    IntegrityError
+        A table is damaged.
+    """
+    here = release.blocks()
+    present = {block.key for block in here}
+    return Statistics(
+        release.manifest.name,
+        release.manifest.sha256,
+        tuple(row for block in here for row in _count_block(block, release.block(block))),
+        tuple(block for block in release.manifest.blocks if block.key not in present),
+    )
+
+
+def _count_block(block: BlockEntry, reader: BlockReader) -> Iterable[StepCount]:
+    table = reader.steps()
+    step = table["step"].to_numpy()
+    success = table["success"].to_numpy()
+    kinds = TASKS[block.task]
+    reached = np.bincount(step, minlength=len(kinds))
+    positives = np.bincount(step[success], minlength=len(kinds))
+    for number, kind in enumerate(kinds):
+        yield StepCount(
+            *block.key,
+            step=number,
+            last=number == len(kinds) - 1,
+            skill=skill(kind),
+            policy=block.policies[number],
+            reached=int(reached[number]),
+            positives=int(positives[number]),
+        )

@@ -1,0 +1,12 @@
+"""``rema verify``: every byte and every invariant of a release.
+
+Read in this order: ``findings`` (what is reported), ``check`` (the order of the checks), ``files`` (bytes), ``maps``
+and ``tables`` (one block), ``leakage`` (across blocks and against the frozen scenarios), ``repair``.
+"""
+
+from __future__ import annotations
+
+from rema_data.verify.check import verify
+from rema_data.verify.findings import Finding, Report
+
+__all__ = ["Finding", "Report", "verify"]

@@ -1,0 +1,137 @@
+"""The bytes of a release: its manifest, and every file that it names."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import Protocol
+
+from rema_data.download.part import SUFFIX
+from rema_data.release.folder import ReleaseFolder, downloads_folder
+from rema_data.release.manifest import MANIFEST, BlockEntry, FileEntry
+from rema_data.release.registry import published
+from rema_data.release.seal import file_sha256
+from rema_data.schema import TASKS
+from rema_data.verify.findings import Findings
+
+__all__ = ["Progress", "absent_blocks", "check_files", "check_manifest", "check_unexpected", "is_download", "refetch"]
+
+
+class Progress(Protocol):
+    """Where a verification says how far it is."""
+
+    def phase(self, name: str, total: int) -> None:
+        """A phase begins that has ``total`` items."""
+
+    def advance(self, n: int) -> None:
+        """So many items more of the present phase are done."""
+
+
+def is_download(release: ReleaseFolder) -> bool:
+    """Whether the release lies where ``rema download`` puts it."""
+    return release.root.resolve() == downloads_folder().resolve()
+
+
+def refetch(release: ReleaseFolder, location: str) -> str:
+    """The command that brings the sealed bytes of a file back."""
+    name, root = release.manifest.name, release.root.resolve()
+    if is_download(release):
+        return f"rema verify {name} --repair"
+    if root.name == "_releases":
+        return "pip install --force-reinstall rema"
+    known = any(entry.sha256 == release.manifest.sha256 for entry in published())
+    checkout = next((folder for folder in root.parents if (folder / ".git").exists()), None)
+    if known and checkout is not None:
+        return f"git checkout -- {(root / location).relative_to(checkout).as_posix()}"
+    if known:
+        return f"use the published files: rema download {name}"
+    return "copy it again from where the release came from, or collect the release again: rema collect PLAN"
+
+
+def check_manifest(release: ReleaseFolder, findings: Findings) -> set[str]:
+    """Compare the manifest with the index of published releases, and the copy beside the data with it.
+
+    Returns
+    -------
+    set of str
+        Location of the copy, where it is damaged.
+    """
+    manifest, copy = release.manifest, release.path / MANIFEST
+    location = f"{manifest.name}/{MANIFEST}"
+    known = {entry.name: entry.sha256 for entry in published()}.get(manifest.name)
+    if known is not None and known != manifest.sha256:
+        findings.add(
+            "manifest",
+            str(copy),
+            f"it is not the published {manifest.name}: its sha256 is {manifest.sha256}, the index has {known}",
+            mend=f"rename this release, or use the published one: rema download {manifest.name}",
+        )
+    for block in manifest.blocks:
+        if len(block.policies) != len(TASKS[block.task]):
+            findings.add(
+                "manifest",
+                str(copy),
+                f"block {block.key.path} has {len(block.policies)} policies for {len(TASKS[block.task])} steps",
+                mend="seal the release again from its plan: rema collect PLAN",
+            )
+    if not copy.is_file():
+        findings.add("missing", str(copy), "the manifest beside the data", mend=refetch(release, location))
+    elif copy.read_bytes() != manifest.to_bytes():
+        findings.add("manifest", str(copy), "it is not the release's manifest", mend=refetch(release, location))
+    else:
+        return set()
+    return {location}
+
+
+def absent_blocks(release: ReleaseFolder, blocks: Sequence[BlockEntry]) -> tuple[BlockEntry, ...]:
+    """Blocks of a downloaded release of which no file is here: they have never been fetched."""
+    if not is_download(release):
+        return ()
+    here = {file.block for file in release.manifest.files if release.file(file).exists()}
+    return tuple(block for block in blocks if block.key.path not in here)
+
+
+def check_files(
+    release: ReleaseFolder, entries: Sequence[FileEntry], findings: Findings, progress: Progress
+) -> set[str]:
+    """Check presence, size and sha256 of files.
+
+    Returns
+    -------
+    set of str
+        Locations of the files that are not what the manifest names.
+    """
+    damaged = set()
+    progress.phase("files", len(entries))
+    for entry in entries:
+        path = release.file(entry)
+        fault = _fault(path, entry)
+        if fault is not None:
+            damaged.add(entry.location)
+            findings.add(*fault, mend=refetch(release, entry.location))
+        progress.advance(1)
+    return damaged
+
+
+def _fault(path: Path, entry: FileEntry) -> tuple[str, str, str] | None:
+    """Kind, file and detail of what is wrong with a file."""
+    if not path.is_file():
+        return "missing", str(path), f"{entry.bytes:,} bytes"
+    size = path.stat().st_size
+    if size != entry.bytes:
+        return "size", str(path), f"it has {size:,} bytes, the manifest says {entry.bytes:,}"
+    got = file_sha256(path)
+    if got != entry.sha256:
+        return "sha256", str(path), f"its sha256 is {got[:16]}..., the manifest says {entry.sha256[:16]}..."
+    return None
+
+
+def check_unexpected(release: ReleaseFolder, findings: Findings) -> None:
+    """Look for files in the release's own folder that the manifest does not name."""
+    name = release.manifest.name
+    listed: Collection[Path] = {release.file(file) for file in release.manifest.files if file.holder == name}
+    for path in sorted(release.path.rglob("*")):
+        if path.is_dir() or path in listed or path == release.path / MANIFEST:
+            continue
+        if not (is_download(release) and path.suffix == SUFFIX):
+            findings.add("unexpected", str(path), "the manifest does not name it", mend=f"delete it: rm '{path}'")

@@ -1,0 +1,92 @@
+"""``rema stats``: tables, JSON, figure."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from evaluator.cli.main import cli
+from rema_data.release.folder import ReleaseFolder
+from rema_data.release.registry import register
+from rema_data.testing import make_release
+
+PUBLISHED = Path(__file__).resolve().parents[3] / "manifests" / "published"
+TASKS = ("grasp", "push", "grasp_grasp_push")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> ReleaseFolder:
+    return make_release(tmp_path_factory.mktemp("whole"), tasks=TASKS, rounds=(1, 2), episodes=8)
+
+
+@pytest.fixture
+def release(whole: ReleaseFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ReleaseFolder:
+    shutil.copytree(PUBLISHED, tmp_path / "manifests" / "published")
+    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
+    monkeypatch.setenv("REMA_HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.chdir(tmp_path)
+    register(whole.manifest)
+    shutil.copytree(whole.path, tmp_path / "home" / "releases" / "tiny")
+    return ReleaseFolder(whole.manifest, tmp_path / "home" / "releases")
+
+
+def stats(*arguments: str | Path) -> Result:
+    result = CliRunner().invoke(cli, ["stats", *map(str, arguments)])
+    assert result.exit_code == 0, result.output
+    return result
+
+
+def test_tables_fit_a_terminal(release: ReleaseFolder) -> None:
+    """The newest release by default; a row a step, and the totals."""
+    lines = stats().stdout.splitlines()
+    assert max(map(len, lines)) <= 80
+    titles = [line for line in lines if line.startswith("tiny (")]
+    assert [title.split()[-1] for title in titles] == ["1", "2"]
+    assert sum(" 1 grasp " in line and " reference " in line for line in lines) == 2 * 2 * 1
+    assert sum(re.search(r" \d last ", line) is not None for line in lines) == 2 * 2 * len(TASKS)
+    total = next(line for line in lines if line.split()[:1] == ["sum"]).split()
+    counts = release.manifest.counts
+    assert total[1:3] == [str(counts["episodes"]), str(counts["steps"])]
+    assert total[4] == str(counts["positives"])
+
+
+def test_names_and_folders(release: ReleaseFolder) -> None:
+    assert stats("tiny").stdout == stats(release.path).stdout
+
+
+def test_blocks_that_are_not_here(release: ReleaseFolder) -> None:
+    shutil.rmtree(release.path / "round-1")
+    shutil.rmtree(release.path / "round-2" / "push")
+    printed = " ".join(stats("tiny").stdout.split())
+    assert "not counted: 8 blocks with 36 episodes" in printed
+    assert "rema download tiny" in printed
+    assert "round 1" not in printed
+    shutil.rmtree(release.path / "round-2")
+    assert "no block is on this machine" in stats(release.path).stdout
+
+
+def test_check_paper(release: ReleaseFolder) -> None:
+    lines = stats("--check-paper").stdout.splitlines()
+    assert max(map(len, lines)) <= 80
+    printed = " ".join(" ".join(lines).split())
+    assert "grasp 28,533 22,129 50,662 56.32" in printed
+    assert "last steps 38,123 80,747 118,870" in printed
+    assert "tool picks" in printed and "tool pinches" in printed
+    assert f"{release.manifest.counts['steps']}" in next(line for line in lines if "executed steps" in line)
+    assert "14,662 more than its 36,000 episodes" in printed
+
+
+def test_json_and_figure(release: ReleaseFolder, tmp_path: Path) -> None:
+    printed = json.loads(stats("--json", "--check-paper", "--plot", "rounds.png").stdout)
+    assert sorted(printed) == ["missing", "paper", "release", "sha256", "steps", "tasks"]
+    assert printed["release"] == "tiny" and printed["sha256"] == release.manifest.sha256
+    assert sum(row["reached"] for row in printed["steps"]) == release.manifest.counts["steps"]
+    assert printed["paper"]["total"]["paper"] == {"positives": 38_123, "negatives": 80_747}
+    assert (tmp_path / "rounds.png").read_bytes().startswith(b"\x89PNG")
+    assert stats("--plot", "other.png").stdout.splitlines()[-1] == "other.png"

@@ -1,0 +1,97 @@
+"""The index of published releases: in order, checked, and never rewritten."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from rema_data.errors import InputError, IntegrityError, MissingFileError
+from rema_data.release.folder import ReleaseFolder
+from rema_data.release.registry import SAMPLE, load_published, newest, published, register
+
+
+def test_what_is_registered_is_found(places: Path, tiny: ReleaseFolder) -> None:
+    path = register(tiny.manifest)
+    assert path.read_bytes() == tiny.manifest.to_bytes()
+    (entry,) = published()
+    assert (entry.name, entry.sha256) == ("tiny", tiny.manifest.sha256)
+    assert load_published("tiny") == tiny.manifest
+
+
+def test_registering_again_changes_nothing(places: Path, tiny: ReleaseFolder) -> None:
+    register(tiny.manifest)
+    index = (places / "manifests" / "datasets" / "index.json").read_bytes()
+    register(tiny.manifest)
+    assert (places / "manifests" / "datasets" / "index.json").read_bytes() == index
+
+
+def test_other_content_under_a_published_name_is_refused(places: Path, tiny: ReleaseFolder) -> None:
+    path = register(tiny.manifest)
+    with pytest.raises(InputError, match="published with other content") as caught:
+        register(dataclasses.replace(tiny.manifest, title="another"))
+    assert "new name" in caught.value.hint
+    assert path.read_bytes() == tiny.manifest.to_bytes()
+    assert load_published("tiny") == tiny.manifest
+
+
+def renamed(release: ReleaseFolder, name: str) -> ReleaseFolder:
+    """The same release under another name, as far as a manifest can tell."""
+    manifest = release.manifest
+    files = tuple(dataclasses.replace(file, holder=name) for file in manifest.files)
+    blocks = tuple(dataclasses.replace(block, holder=name) for block in manifest.blocks)
+    return ReleaseFolder(dataclasses.replace(manifest, name=name, files=files, blocks=blocks), release.root)
+
+
+def test_the_newest_is_the_last_but_the_sample(places: Path, tiny: ReleaseFolder) -> None:
+    with pytest.raises(MissingFileError, match="no release has been published"):
+        newest()
+    for name in ("b-first", "a-second", SAMPLE):
+        register(renamed(tiny, name).manifest)
+    assert [entry.name for entry in published()] == ["b-first", "a-second", SAMPLE]
+    assert newest() == "a-second"
+
+
+def test_an_unknown_name_lists_the_known_ones(places: Path, tiny: ReleaseFolder) -> None:
+    register(tiny.manifest)
+    with pytest.raises(InputError, match="no release 'huge'") as caught:
+        load_published("huge")
+    assert "tiny" in caught.value.hint
+
+
+def test_a_changed_or_deleted_manifest_is_not_the_published_one(places: Path, tiny: ReleaseFolder) -> None:
+    path = register(tiny.manifest)
+    path.write_bytes(path.read_bytes().replace(b"tests only", b"tests 0nly"))
+    with pytest.raises(IntegrityError, match="expected"):
+        load_published("tiny")
+    path.unlink()
+    with pytest.raises(MissingFileError, match=r"tiny\.json does not exist"):
+        load_published("tiny")
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"<html>",
+        b"[]",
+        b'{"releases": [{}]}',
+        b'{"releases": [1]}',
+        b'{"releases": null}',
+        b'{"releases": [{"name": "../x", "sha256": "0"}]}',
+        b'{"releases": [{"name": 3, "sha256": "0"}]}',
+    ],
+)
+def test_a_damaged_index_is_named(data: bytes, places: Path) -> None:
+    index = places / "manifests" / "datasets" / "index.json"
+    index.write_bytes(data)
+    with pytest.raises(IntegrityError, match=r"index\.json cannot be read") as caught:
+        published()
+    assert "git checkout" in caught.value.hint
+
+
+def test_a_missing_index_is_named(places: Path) -> None:
+    (places / "manifests" / "datasets" / "index.json").unlink()
+    with pytest.raises(MissingFileError, match=r"no index of releases"):
+        published()
