@@ -15,6 +15,7 @@ __all__ = ["BUILT_INS", "OWN_PREFIX", "PolicySpec", "check_checkpoint", "digest"
 BUILT_INS: dict[str, str] = {
     "random": "random_policy.py:RandomPolicy",
     "scripted": "scripted_policy.py:ScriptedPolicy",
+    "reference": "reference_policy.py:ReferencePolicy",
 }
 """Built-in names: file of the installed ``baselines`` package, and class."""
 

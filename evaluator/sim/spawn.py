@@ -24,7 +24,27 @@ def episode_generator(root: int, domain: str, task: str, episode: int) -> np.ran
     return np.random.default_rng(np.random.SeedSequence(root, spawn_key=key))
 
 
+def collection_generator(root: int, round_: int, task: str, split: str, episode: int) -> np.random.Generator:
+    """The generator of one collected episode: streams of different rounds, tasks, splits or episodes never meet.
+
+    Parameters
+    ----------
+    root : int
+        Root seed of the collection plan.
+    round_ : int
+        From 1.
+    task : str
+    split : str
+        ``train`` or ``val``.
+    episode : int
+        Position in its (round, task, split), from 0.
+    """
+    key = (_DOMAINS["collect"], list(TASKS).index(task), round_, _SPLITS[split], episode)
+    return np.random.default_rng(np.random.SeedSequence(root, spawn_key=key))
+
+
 _DOMAINS = {"test": 0, "val": 1, "collect": 2, "calibrate": 3}
+_SPLITS = {"train": 0, "val": 1}
 
 
 def draw_spec(rng: np.random.Generator, stick: bool, parameters: WorldParameters = WORLD) -> ObjectSpec:

@@ -10,29 +10,23 @@ from collections.abc import Callable, Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from rema_data import testing
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, BlockEntry
-from rema_data.schema import TASKS, StepOutcome
+from rema_data.schema import TASKS
 from rema_data.store.block import BlockKey
 from rema_data.store.tables import to_parquet
+from rema_data.testing import make_release
 
 GRASP_TRAIN = BlockKey(1, "grasp", "train")
 
 
 def make_whole(root: Path, **options: Any) -> ReleaseFolder:
-    """A release in which everything holds, of all tasks by default: its successful pushes move the object."""
-
-    def outcome(won: bool, *rest: Any, **evidence: Any) -> StepOutcome:
-        return StepOutcome(won, *rest, **{"displacement_m": 0.15 if won else 0.0, **evidence})
-
-    with mock.patch.object(testing, "StepOutcome", outcome):
-        return testing.make_release(root, **{"tasks": tuple(TASKS), "episodes": 15, **options})
+    """A release in which everything holds, of all tasks by default."""
+    return make_release(root, **{"tasks": tuple(TASKS), "episodes": 15, **options})
 
 
 def copy(release: ReleaseFolder, root: Path) -> ReleaseFolder:
