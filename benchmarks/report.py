@@ -26,6 +26,13 @@ SECTIONS = {
     "determinism": "Determinism of the world",
     "byte_identity": "Equal bytes of whole runs",
     "shortcuts": "The geometric shortcut",
+    "read": "Training reads",
+    "open": "Opening a release",
+    "sampler": "The balanced sampler",
+    "size": "Size of a release",
+    "codecs": "Codecs of the maps",
+    "download": "Download",
+    "robomimic_reader": "Exported files in robomimic's own reader",
 }
 """Sections, in this order; a benchmark may have several files."""
 

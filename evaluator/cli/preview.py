@@ -1,54 +1,166 @@
-"""``rema preview``: one step of a frozen scenario as a picture."""
+"""``rema preview``: one step of a frozen scenario, or steps of a release, as a picture."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
 from evaluator.protocol import PROTOCOLS
 from rema_data.errors import InputError
-from rema_data.schema import TASKS
+from rema_data.schema import TASKS, Failure
+
+if TYPE_CHECKING:
+    from rema_data.gallery import GalleryStep
 
 __all__ = ["preview"]
 
+_OF_SCENARIOS = ("policy", "checkpoint", "action", "protocol")
+_OF_RELEASES = ("release", "rounds", "episodes", "count", "which", "success", "failure", "as_table")
+
 
 @click.command()
-@click.option("--task", required=True, type=click.Choice(list(TASKS)), help="What has to be done.")
-@click.option("--scenario", "index", required=True, type=click.IntRange(min=0), help="Position in the frozen list.")
-@click.option("--split", type=click.Choice(["test", "val"]), default="test", show_default=True)
+@click.option("--task", "tasks", multiple=True, type=click.Choice(list(TASKS)), help="Of a release: repeatable.")
+@click.option("--split", type=click.Choice(["test", "val", "train"]), help="Of scenarios: test or val.")
+@click.option("--output", type=click.Path(path_type=Path), help="PNG file, or HTML for a release.")
+@click.option("--json", "as_json", is_flag=True, help="Print one object.")
+@click.option("--release", metavar="RELEASE", help="Name or folder.  [default: the newest one on this machine]")
+@click.option("--round", "rounds", multiple=True, type=click.IntRange(min=1), help="Only this round (repeatable).")
+@click.option("--episode", "episodes", multiple=True, type=click.IntRange(min=0), help="All its steps (repeatable).")
+@click.option("--count", type=click.IntRange(1, 1000), help="Draw so many steps.  [default: 12]")
+@click.option("--which", type=click.Choice(["last", "picks", "all"]), help="Steps to draw from.  [default: last]")
+@click.option("--success", is_flag=True, default=None, help="Only steps that succeeded.")
+@click.option("--failure", type=click.Choice([str(label) for label in Failure]), help="Only steps that failed so.")
+@click.option("--table", "as_table", is_flag=True, default=None, help="Print a table; draw only with --output.")
+@click.option("--scenario", "index", type=click.IntRange(min=0), help="Position in the frozen list of the task.")
 @click.option("--policy", metavar="POLICY", help="Who acts: as for `rema evaluate`.  [default: scripted]")
 @click.option("--checkpoint", type=click.Path(path_type=Path), help="Weights, handed to the policy.")
 @click.option("--action", metavar="I,J,K", help="Row, column and angle, instead of a policy.")
-@click.option("--protocol", type=click.Choice(list(PROTOCOLS)), default="conditional", show_default=True)
-@click.option("--output", type=click.Path(path_type=Path), help="PNG file.  [default: preview-TASK-N.png]")
-@click.option("--json", "as_json", is_flag=True, help="Print the outcome as an object.")
-def preview(
-    task: str,
+@click.option("--protocol", type=click.Choice(list(PROTOCOLS)), help="[default: conditional]")
+@click.pass_context
+def preview(ctx: click.Context, /, index: int | None, **options: Any) -> None:
+    """Draw steps of a release, or with --scenario play a step of a frozen scenario and draw it.
+
+    Of a release: a sheet of steps with their maps, actions and outcomes. The steps look drawn at random; they are
+    always the same ones.
+
+    Of a scenario: the maps, the action, and the world before and after it. With --protocol end-to-end the policy does
+    every step, and the picture shows the step at which the episode ended.
+    """
+    foreign, other = (_OF_SCENARIOS, "--scenario") if index is None else (_OF_RELEASES, "--release")
+    for name in foreign:
+        if options[name] not in (None, ()):
+            flag = next(parameter.opts[0] for parameter in ctx.command.params if parameter.name == name)
+            hint = "add --scenario N" if index is None else "drop --scenario, or this option"
+            raise InputError(f"{flag} belongs to {other}", hint=hint)
+    mine = {name: value for name, value in options.items() if name not in foreign}
+    if index is None:
+        _preview_release(**mine)
+    else:
+        _preview_scenario(index, **mine)
+
+
+def _preview_release(
+    tasks: tuple[str, ...],
+    split: str | None,
+    output: Path | None,
+    as_json: bool,
+    release: str | None,
+    rounds: tuple[int, ...],
+    episodes: tuple[int, ...],
+    count: int | None,
+    which: Literal["last", "picks", "all"] | None,
+    success: bool | None,
+    failure: str | None,
+    as_table: bool | None,
+) -> None:
+    from rema_data.gallery import find_steps
+    from rema_data.pictures import write_pictures
+    from rema_data.release.folder import find_release
+
+    if success and failure:
+        raise InputError("a step that succeeded has no failure", hint="drop --success or --failure")
+    if episodes and (count or which):
+        raise InputError("--episode shows all steps of an episode", hint="drop --count and --which, or --episode")
+    found = find_release(release)
+    name = found.manifest.name
+    steps = find_steps(
+        found,
+        tasks or None,
+        rounds or None,
+        split,
+        episodes=episodes,
+        which=which or "last",
+        success=success,
+        failure=failure,
+        count=count or 12,
+    )
+    path = output if output or as_table else Path(f"preview-{name}.png")
+    if path is not None:
+        write_pictures(steps, path, f"{name} ({found.manifest.sha256[:12]})")
+    if as_json:
+        file = {} if path is None else {"file": str(path)}
+        click.echo(json.dumps({"release": name, **file, "steps": [dict(step.row) for step in steps]}))
+        return
+    if as_table:
+        _print_table(steps, name)
+    if path is not None:
+        click.echo(f"{path}: {len(steps)} steps")
+
+
+def _print_table(steps: Sequence[GalleryStep], title: str) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from rema_data.pictures import outcome_text
+
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in ("step", "round, split, episode", "policy", "i,j,k", "cm", "outcome"):
+        table.add_column(column, justify="right" if column == "cm" else "left", overflow="fold")
+    for row in (step.row for step in steps):
+        push = row["primitive"] == "push"
+        table.add_row(
+            f"{row['task']} {row['step'] + 1}/{len(TASKS[row['task']])}",
+            f"{row['round']} {row['split']} {row['episode']}",
+            Text(row["policy"]),
+            f"{row['i']},{row['j']},{row['k']}",
+            f"{(row['displacement_m'] if push else row['lift_m']) * 100:+.1f} {'x' if push else 'z'}",
+            Text(outcome_text(row), style="green" if row["success"] else "red"),
+        )
+    Console().print(table)
+
+
+def _preview_scenario(
     index: int,
-    split: str,
+    tasks: tuple[str, ...],
+    split: str | None,
+    output: Path | None,
+    as_json: bool,
     policy: str | None,
     checkpoint: Path | None,
     action: str | None,
-    protocol: str,
-    output: Path | None,
-    as_json: bool,
+    protocol: str | None,
 ) -> None:
-    """Draw the maps, the action, and the world before and after it, into a PNG file.
-
-    With --protocol end-to-end the policy does every step, and the picture shows the step at which the episode ended.
-    """
-    # Imported here, so that a mistyped option is answered at once.
-    from evaluator.policy.loading import resolve
-    from evaluator.preview import asked, check_action, find_scenario, find_step, play, write_preview
-    from rema_data.schema import to_dict
-
+    if len(tasks) != 1:
+        raise InputError("a scenario belongs to one task", hint=f"name it: --task {next(iter(TASKS))}")
+    if split == "train":
+        raise InputError("there are no training scenarios", hint="use --split test or val, or --release")
+    (task,), split, protocol = tasks, split or "test", protocol or "conditional"
     if action is not None and (policy is not None or protocol != "conditional"):
         raise InputError(
             "--action takes the place of a policy, at the last step", hint="drop --policy and --protocol, or --action"
         )
     wanted = None if action is None else _parse(action)
+    # Imported here, so that a mistyped option is answered at once.
+    from evaluator.policy.loading import resolve
+    from evaluator.preview import asked, check_action, find_scenario, find_step, play, write_preview
+    from rema_data.schema import to_dict
+
     scenario = find_scenario(task, index, split, protocol)
     if wanted is not None:
         situation = scenario.last_situation()

@@ -188,7 +188,7 @@ class MapsReader:
         for name, form in ARRAYS.items():
             try:
                 array = zarr.open_array(LocalStore(self._path, read_only=True), path=name, mode="r")
-            except (BaseZarrError, OSError, ValueError, KeyError, TypeError) as error:
+            except (BaseZarrError, OSError, ValueError, KeyError, TypeError, AttributeError) as error:
                 raise self._damage(name, str(error)) from error
             if array.shape[1:] != form.row or array.dtype != form.dtype:
                 raise self._damage(name, f"it holds {array.dtype} {array.shape}")

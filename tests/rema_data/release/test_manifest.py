@@ -47,7 +47,7 @@ def manifests(draw: st.DrawFn) -> Manifest:
     blocks, files = [], [FileEntry("LICENSE", draw(COUNTS), draw(SHAS), name)]
     for key in keys:
         holder = draw(st.sampled_from([name, older]))
-        policies = tuple(draw(st.lists(TEXT, max_size=3)))
+        policies = tuple(draw(TEXT) for _ in TASKS[key.task])
         counts = draw(st.tuples(COUNTS, COUNTS, COUNTS, COUNTS))
         blocks.append(BlockEntry(*key, *counts, policies=policies, holder=holder))
         files.append(FileEntry(f"{key.path}/steps.parquet", draw(COUNTS), draw(SHAS), holder))
@@ -159,7 +159,7 @@ def test_an_edit_is_refused_or_read_as_it_is(place: tuple[Any, ...], value: Any)
 def test_what_is_left_out_is_refused_or_read_as_it_is(place: tuple[Any, ...]) -> None:
     content = copy.deepcopy(CONTENT)
     del at(content, place[:-1])[place[-1]]
-    if place in {("fingerprint", "pybullet"), ("sources", 0)} or "policies" in place[:-1]:
+    if place in {("fingerprint", "pybullet"), ("sources", 0)}:
         assert parse_manifest(canonical(content), "here").to_bytes() == canonical(content)
     else:
         refused(canonical(content))
@@ -246,6 +246,7 @@ def changed(*place: Any, to: Any) -> Callable[[Any], None]:
         (changed("blocks", 0, "task", to="juggle"), "names no block"),
         (changed("blocks", 0, "split", to="test"), "names no block"),
         (changed("blocks", 0, "round", to=0), "names no block"),
+        (changed("blocks", 0, "policies", to=["random"] * 2), "does not name a policy for each step"),
         (changed("heights", "step_m", to=0.001), "heights are stored in an unknown way"),
         (changed("heights", to={**ENCODING, "more": 1}), "heights are stored in an unknown way"),
         (changed("counts", "episodes", to=5), "its counts do not add up"),

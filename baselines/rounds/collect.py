@@ -1,0 +1,228 @@
+"""``collect``: a plan becomes a sealed release, through as many interruptions as it takes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from baselines.rounds.behaviour import BehaviourPolicies
+from baselines.rounds.chunk import CHUNK_EPISODES, EncodedChunk, cut
+from baselines.rounds.plan import CollectionPlan
+from baselines.rounds.play import BATCH, Player
+from baselines.rounds.work import WorkFolder, work_path
+from evaluator.engines import make_engine
+from evaluator.engines.child import call_in_child
+from evaluator.runner import Backend, ProgressSink, Silent, default_backend
+from rema_data.errors import InputError, RunMismatchError
+from rema_data.release.folder import ReleaseFolder, find_release
+from rema_data.release.manifest import MANIFEST, parse_manifest
+from rema_data.release.seal import seal
+from rema_data.schema import SCHEMA_VERSION
+from rema_data.store.block import BlockKey, BlockWriter
+
+__all__ = ["Collected", "collect", "inherit"]
+
+
+@dataclass(frozen=True, slots=True)
+class Collected:
+    """What came of a plan.
+
+    Attributes
+    ----------
+    release : ReleaseFolder
+    already : bool
+        The release was there before.
+    """
+
+    release: ReleaseFolder
+    already: bool
+
+
+def collect(
+    plan: CollectionPlan,
+    output: Path,
+    *,
+    engine: str = "process",
+    workers: int | None = None,
+    progress: ProgressSink | None = None,
+    backend: Backend | None = None,
+    chunk_episodes: int = CHUNK_EPISODES,
+) -> Collected:
+    """Play every episode of a plan that has not been committed yet, then seal the release ``output / name``.
+
+    Parameters
+    ----------
+    plan : CollectionPlan
+    output : Path
+        Folder of releases.
+    engine : {"process", "inline"}
+    workers : int, optional
+        Every core by default. No byte of the release depends on it.
+    progress : ProgressSink, optional
+    backend : Backend, optional
+        The real world and the real host of policies by default.
+    chunk_episodes : int
+        Episodes that are committed together. A policy is asked about episodes of one chunk at a time, so this belongs
+        to the identity of a collection.
+
+    Raises
+    ------
+    RunMismatchError
+        There is another release of that name, or episodes of another plan.
+    InputError
+        Another process is collecting it, or the parent does not have a round.
+    SubmissionError, PolicyFailureError
+        A policy cannot be loaded, or gave no action.
+    InfrastructureError
+        Workers died; run again to go on.
+    StorageError
+        The disk is full; run again when it is not.
+    KeyboardInterrupt
+        Workers are stopped; run again to go on.
+    """
+    collection = _Collection(plan, output, progress or Silent(), backend or default_backend(), chunk_episodes)
+    return collection.run(engine, workers)
+
+
+def inherit(plan: CollectionPlan, output: Path) -> tuple[ReleaseFolder | None, list[BlockKey]]:
+    """The parent of a plan's release, and the blocks that are taken from it.
+
+    Raises
+    ------
+    InputError
+        There is no such parent, it has no such round, or it does not lie beside the new release.
+    MissingFileError
+        It is not on this machine.
+    """
+    if plan.parent is None:
+        return None, []
+    parent = find_release(plan.parent)
+    blocks = [block for block in parent.manifest.blocks if block.round in plan.reused]
+    for number in plan.reused:
+        if number not in {block.round for block in blocks}:
+            raise InputError(
+                f"{plan.path}: rounds[{number}] is to be reused, but {parent.manifest.name} has no round {number}",
+                hint="mend the plan's rounds",
+                round=number,
+            )
+    absent = sorted({block.holder for block in blocks if not (output / block.holder).is_dir()})
+    if absent:
+        raise InputError(
+            f"the reused rounds lie in {', '.join(absent)}, which is not in {output}",
+            hint=f"collect beside it: --output {parent.root}",
+            holders=absent,
+        )
+    return parent, [block.key for block in blocks]
+
+
+class _Collection:
+    """A plan on its way to one folder of releases."""
+
+    def __init__(
+        self, plan: CollectionPlan, output: Path, progress: ProgressSink, backend: Backend, chunk_episodes: int
+    ) -> None:
+        self.plan, self.output, self.progress, self.backend = plan, output, progress, backend
+        self.chunk_episodes = chunk_episodes
+        self.chunks = list(cut(plan.blocks, chunk_episodes))
+        self.parent, self.reused = inherit(plan, output)
+        self.work = work_path(output, plan.about.name)
+        self.policies = BehaviourPolicies(plan.blocks, backend, self.work)
+        self.fingerprint: dict[str, str] = call_in_child(backend.fingerprint)
+
+    def data_identity(self) -> dict[str, Any]:
+        """Everything that decides a byte of a chunk, ready for JSON."""
+        blocks = [
+            {
+                "block": block.key.path,
+                "episodes": block.episodes,
+                "policies": [[use.spec.name, self.policies.digests[use], use.device] for use in block.policies],
+            }
+            for block in self.plan.blocks
+        ]
+        return {
+            "schema_version": SCHEMA_VERSION,
+            "seed": self.plan.seed,
+            "blocks": blocks,
+            "batches": [self.chunk_episodes, BATCH],
+            "fingerprint": self.fingerprint,
+        }
+
+    def plan_sha256(self) -> str:
+        """Identity of the plan: its meaning, its policies and the simulator."""
+        parent = None if self.parent is None else self.parent.manifest.sha256
+        reused = {"parent": parent, "reused": list(self.plan.reused)}
+        content = {"about": asdict(self.plan.about), **self.data_identity(), **reused}
+        return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+    def sealed(self) -> Collected | None:
+        """The release, where this plan has made it before."""
+        target = self.output / self.plan.about.name
+        if not target.exists():
+            return None
+        path = target / MANIFEST
+        manifest = parse_manifest(path.read_bytes(), str(path)) if path.is_file() else None
+        if manifest is None or manifest.plan_sha256 != self.plan_sha256():
+            what = "is no sealed release" if manifest is None else "was made by another plan, policy or simulator"
+            raise RunMismatchError(
+                f"{target} {what}: a sealed release is never written to",
+                hint="give the plan another name, or choose another folder with --output",
+                path=str(target),
+            )
+        return Collected(ReleaseFolder(manifest, self.output), already=True)
+
+    def run(self, engine: str, workers: int | None) -> Collected:
+        if (found := self.sealed()) is not None:
+            shutil.rmtree(self.work, ignore_errors=True)
+            return found
+        # Episodes made by other code must not be mixed; a finished release is not affected by it.
+        identity = self.data_identity() | {"code": self.backend.observation_hash}
+        with WorkFolder.locked(self.work, identity) as work:
+            found = self.sealed()  # by a process that we may have waited for
+            if found is None:
+                self.play(work, engine, workers)
+                found = Collected(self.seal(work), already=False)
+        shutil.rmtree(self.work, ignore_errors=True)
+        return found
+
+    def play(self, work: WorkFolder, engine: str, workers: int | None) -> None:
+        """Play and commit what is missing."""
+        missing = [chunk for chunk in self.chunks if not work.has(chunk)]
+        if not missing:
+            return
+        total = sum(block.episodes for block in self.plan.blocks)
+        left = sum(chunk.stop - chunk.start for chunk in missing)
+        if left < total:
+            self.progress.note(f"resumed: {total - left:,} of {total:,} episodes are there")
+        self.progress.phase("collect", left)
+        player = Player(self.plan.seed, self.backend, self.policies.of)
+        with closing(self.policies), closing(make_engine(engine, workers, self.backend.simulator)) as running:
+            self.policies.start(chunk.block for chunk in missing)
+            for chunk, episodes in player.play(missing, running, self.progress.advance):
+                work.commit(chunk, EncodedChunk.of(episodes))
+
+    def seal(self, work: WorkFolder) -> ReleaseFolder:
+        """Put the chunks together and seal the release."""
+        staging = work.staging()
+        self.progress.phase("seal", len(self.chunks))
+        for block in self.plan.blocks:
+            writer = BlockWriter(staging / block.key.path)
+            for chunk in (chunk for chunk in self.chunks if chunk.block == block.key):
+                encoded = work.read(chunk)
+                writer.append(encoded.episodes, encoded.steps, encoded.maps)
+                self.progress.advance(1)
+            writer.close()
+        return seal(
+            staging,
+            self.output,
+            self.plan.about,
+            [block.key for block in self.plan.blocks],
+            fingerprint=self.fingerprint,
+            plan_sha256=self.plan_sha256(),
+            parent=None if self.parent is None else self.parent.manifest,
+            reused=self.reused,
+        )

@@ -1,0 +1,135 @@
+"""What a plan will take: a few episodes of every kind are played, measured, and thrown away.
+
+The episodes are those that the collection begins with, so only the seconds differ from run to run.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from pathlib import Path
+
+from baselines.rounds.behaviour import BehaviourPolicies
+from baselines.rounds.chunk import Chunk, EncodedChunk
+from baselines.rounds.plan import BlockPlan, CollectionPlan, PolicyUse
+from baselines.rounds.play import Player
+from evaluator.engines import Engine, default_workers, make_engine
+from evaluator.runner import Backend, ProgressSink, Silent, default_backend
+from rema_data.schema import Episode
+from rema_data.store.block import BlockWriter
+
+__all__ = ["Estimate", "estimate"]
+
+PILOT = 16
+"""Episodes that are played of every kind, besides two that warm up."""
+_WARM_UP = 2
+
+Kind = tuple[str, tuple[PolicyUse, ...]]
+"""Task, and the policies of its steps: blocks of one kind take the same time an episode."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What a block is expected to take.
+
+    Attributes
+    ----------
+    block : BlockPlan
+    seconds : float
+    bytes : int
+    """
+
+    block: BlockPlan
+    seconds: float
+    bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Rates:
+    """Measured on a pilot: seconds an episode inside and outside of simulators, and bytes as a line over episodes."""
+
+    simulate_s: float
+    rest_s: float
+    start_bytes: float
+    bytes: float
+
+    def of(self, block: BlockPlan, workers: int) -> Estimate:
+        """With so many worker processes beside this one, or none (then everything happens here)."""
+        # However many workers there are, they and this process have no more than the cores.
+        seconds = (self.simulate_s + self.rest_s) / min(workers + 1, default_workers())
+        if workers:
+            seconds = max(seconds, self.rest_s, self.simulate_s / workers)
+        return Estimate(block, block.episodes * seconds, round(self.start_bytes + block.episodes * self.bytes))
+
+
+def estimate(
+    plan: CollectionPlan,
+    *,
+    engine: str = "process",
+    workers: int | None = None,
+    progress: ProgressSink | None = None,
+    backend: Backend | None = None,
+) -> list[Estimate]:
+    """Expected seconds and bytes of every block of a plan, from a pilot in this process.
+
+    Parameters
+    ----------
+    plan : CollectionPlan
+    engine, workers
+        As in ``collect``.
+    progress : ProgressSink, optional
+    backend : Backend, optional
+
+    Raises
+    ------
+    SubmissionError, PolicyFailureError
+        A policy cannot be loaded, or gave no action.
+    InfrastructureError
+        An episode of the pilot could not be simulated.
+    """
+    progress, backend = progress or Silent(), backend or default_backend()
+    kinds: dict[Kind, BlockPlan] = {}
+    for block in plan.blocks:
+        kinds.setdefault(_kind(block), block)
+    progress.phase("pilot", len(kinds) * (_WARM_UP + PILOT))
+    rates: dict[Kind, _Rates] = {}
+    with tempfile.TemporaryDirectory(prefix="rema-") as folder, ExitStack() as stack:
+        policies = stack.enter_context(closing(BehaviourPolicies(plan.blocks, backend, Path(folder))))
+        policies.start(block.key for block in kinds.values())
+        running = stack.enter_context(closing(make_engine("inline", factory=backend.simulator)))
+        for kind, block in kinds.items():
+            player = Player(plan.seed, backend, policies.of)
+            rates[kind] = _measure(player, running, block, Path(folder), progress)
+    count = 0 if engine == "inline" else workers or default_workers()
+    return [rates[_kind(block)].of(block, count) for block in plan.blocks]
+
+
+def _kind(block: BlockPlan) -> Kind:
+    return block.key.task, block.policies
+
+
+def _measure(player: Player, engine: Engine, block: BlockPlan, folder: Path, progress: ProgressSink) -> _Rates:
+    warm, timed = Chunk(block.key, 0, _WARM_UP), Chunk(block.key, _WARM_UP, _WARM_UP + PILOT)
+    list(player.play([warm], engine, progress.advance))
+    before, start = player.simulate_s, time.perf_counter()
+    [(_, episodes)] = player.play([timed], engine, progress.advance)
+    EncodedChunk.of(episodes).to_bytes()
+    total_s, simulate_s = time.perf_counter() - start, player.simulate_s - before
+    half, whole = (_block_bytes(folder / f"{n}", episodes[:n]) for n in (PILOT // 2, PILOT))
+    slope = (whole - half) / (PILOT - PILOT // 2)
+    return _Rates(simulate_s / PILOT, (total_s - simulate_s) / PILOT, whole - PILOT * slope, slope)
+
+
+def _block_bytes(folder: Path, episodes: Sequence[Episode]) -> int:
+    """Size of a block that holds these episodes."""
+    encoded = EncodedChunk.of(episodes)
+    writer = BlockWriter(folder)
+    writer.append(encoded.episodes, encoded.steps, encoded.maps)
+    writer.close()
+    size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+    shutil.rmtree(folder)
+    return size

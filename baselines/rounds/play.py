@@ -1,0 +1,242 @@
+"""Playing episodes: observe, ask the policy, simulate, step after step, with several chunks under way.
+
+Which episodes are asked about together is fixed by their chunk, so no answer depends on how many workers there are,
+on which of them is quick, or on what was played before.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from baselines.rounds.behaviour import Behaviour
+from baselines.rounds.chunk import Chunk
+from evaluator.engines import Engine, InfraError, Job, JobResult, Shard
+from evaluator.policy import ObservationBatch, PolicyFault
+from evaluator.runner.backend import Backend
+from evaluator.runner.plan import shards
+from evaluator.sim.spawn import collection_generator, draw_episode
+from rema_data import grid
+from rema_data.errors import InfrastructureError, PolicyFailureError
+from rema_data.schema import Action, Episode, Observation, Placement, Scenario, Situation, Step
+from rema_data.store.block import BlockKey
+
+__all__ = ["BATCH", "Player", "draw_placements"]
+
+BATCH = 50
+"""Observations in one question to a policy."""
+_OPEN_CHUNKS = 4
+"""Chunks under way at most: enough that no worker waits for the last episodes of another one's."""
+
+
+def draw_placements(seed: int, block: BlockKey, index: int) -> tuple[Placement, ...]:
+    """The objects of one episode of a block, for every step of its task."""
+    rng = collection_generator(seed, block.round, block.task, block.split, index)
+    return draw_episode(rng, block.task)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Asked:
+    """A step whose action is known and whose outcome is not."""
+
+    open: _Open
+    index: int
+    situation: Situation
+    observation: Observation
+    action: int
+    behaviour: Behaviour
+
+
+class _Open:
+    """A chunk under way."""
+
+    def __init__(self, chunk: Chunk, scenarios: dict[int, Scenario]) -> None:
+        self.chunk = chunk
+        self.scenarios = scenarios
+        self.steps: dict[int, list[Step]] = {index: [] for index in scenarios}
+        self.due = {index: scenario.first_situation() for index, scenario in scenarios.items()}  # of the next step
+        self.flying = 0  # outcomes of the present step that are still to come
+
+    def episodes(self, seed: int) -> list[Episode]:
+        """What was played, in order."""
+        block = self.chunk.block
+        return [
+            Episode(block.task, block.round, block.split, index, seed, tuple(self.steps[index]))
+            for index in range(self.chunk.start, self.chunk.stop)
+        ]
+
+
+class Player:
+    """Plays chunks with an engine.
+
+    Parameters
+    ----------
+    seed : int
+        Root seed of the plan.
+    backend : Backend
+    behaviour : callable
+        (block, step) to the policy that plays it.
+
+    Attributes
+    ----------
+    simulate_s : float
+        Seconds inside simulators, over all workers.
+    """
+
+    def __init__(self, seed: int, backend: Backend, behaviour: Callable[[BlockKey, int], Behaviour]) -> None:
+        self._seed, self._backend, self._behaviour = seed, backend, behaviour
+        self._questions: deque[tuple[_Open, list[tuple[int, Situation]]]] = deque()
+        self._ready: deque[Shard] = deque()
+        self._flying: dict[int, _Asked] = {}
+        self._open = 0
+        self._number = 0
+        self.simulate_s = 0.0
+
+    def play(
+        self, chunks: Iterable[Chunk], engine: Engine, advance: Callable[[int], None]
+    ) -> Iterator[tuple[Chunk, list[Episode]]]:
+        """Play chunks and yield each as soon as it is done, in no fixed order.
+
+        Parameters
+        ----------
+        chunks : iterable of Chunk
+        engine : Engine
+            Left open.
+        advance : callable
+            Told of so many finished episodes more.
+
+        Raises
+        ------
+        PolicyFailureError
+            A policy gave no action for an episode.
+        InfrastructureError
+            Workers cannot be started, or one episode cost two of them.
+        """
+        for results in engine.map(self._shards(iter(chunks))):
+            for result in results:
+                done = self._take(result, advance)
+                if done is not None:
+                    yield done.chunk, done.episodes(self._seed)
+
+    def _shards(self, chunks: Iterator[Chunk]) -> Iterator[Shard]:
+        """Work for the engine whenever it asks; an empty shard where there is none until a result comes in."""
+        while True:
+            if self._ready:
+                yield self._ready.popleft()
+            elif self._questions:
+                self._ask(*self._questions.popleft())
+            elif self._open < _OPEN_CHUNKS and (chunk := next(chunks, None)) is not None:
+                self._begin(chunk)
+            elif self._flying:
+                yield ()
+            else:
+                return
+
+    def _begin(self, chunk: Chunk) -> None:
+        task, split = chunk.block.task, chunk.block.split
+        scenarios = {
+            index: Scenario(task, split, index, draw_placements(self._seed, chunk.block, index))
+            for index in range(chunk.start, chunk.stop)
+        }
+        self._open += 1
+        self._next_step(_Open(chunk, scenarios))
+
+    def _next_step(self, opened: _Open) -> None:
+        """Queue the questions about the next step of a chunk, in order of its episodes."""
+        due, opened.due = sorted(opened.due.items()), {}
+        opened.flying = len(due)
+        self._questions.extend((opened, due[n : n + BATCH]) for n in range(0, len(due), BATCH))
+
+    def _ask(self, opened: _Open, due: Sequence[tuple[int, Situation]]) -> None:
+        indices, situations = zip(*due, strict=True)
+        step = situations[0].step
+        behaviour = self._behaviour(opened.chunk.block, step)
+        observations = [self._backend.observe(situation) for situation in situations]
+        valid = self._backend.valid_actions(opened.chunk.block.task, step)
+        question = _question(observations, situations[0], valid)
+        answers = behaviour.process.act(question, situations if behaviour.process.privileged else None)
+        jobs = []
+        for index, situation, observation, answer in zip(indices, situations, observations, answers, strict=True):
+            if isinstance(answer, PolicyFault):
+                raise _refused(behaviour, opened.chunk, index, step, answer)
+            key, self._number = self._number, self._number + 1
+            self._flying[key] = _Asked(opened, index, situation, observation, int(answer), behaviour)
+            jobs.append(Job(key, situation, int(answer)))
+        self._ready.extend(shards(jobs))
+
+    def _take(self, result: JobResult, advance: Callable[[int], None]) -> _Open | None:
+        """Record a result; the chunk, where it was its last one."""
+        asked = self._flying.pop(result.key)
+        opened, outcome = asked.open, result.outcome
+        if isinstance(outcome, InfraError):
+            raise _lost(asked, outcome)
+        self.simulate_s += result.seconds
+        who = asked.behaviour
+        step = Step(asked.situation, asked.observation, Action(asked.action), outcome, who.name, who.digest)
+        opened.steps[asked.index].append(step)
+        if outcome.success and not asked.situation.last:
+            opened.due[asked.index] = opened.scenarios[asked.index].next_situation(asked.situation, outcome)
+        else:
+            advance(1)
+        opened.flying -= 1
+        if opened.flying:
+            return None
+        if opened.due:
+            self._next_step(opened)
+            return None
+        self._open -= 1
+        return opened
+
+
+def _question(observations: Sequence[Observation], first: Situation, valid: npt.NDArray[np.bool_]) -> ObservationBatch:
+    """What a policy is shown of one step."""
+    count = len(observations)
+    seen = observations[0]
+    effectors: npt.NDArray[np.float32]
+    if all(_same_effector(seen, other) for other in observations[1:]):  # bare hands: made and sent once
+        effectors = np.broadcast_to(seen.end_effector(), (count, grid.EE_PIXELS, grid.EE_PIXELS, 4))
+    else:
+        effectors = np.stack([other.end_effector() for other in observations])
+    return ObservationBatch(
+        scene=np.stack([observation.scene_m() for observation in observations]),
+        end_effector=effectors,
+        primitive=first.kind.primitive.value,
+        embodiment=first.kind.embodiment.value,
+        task=first.task,
+        step=first.step,
+        valid=np.broadcast_to(valid, (count, *valid.shape)),
+    )
+
+
+def _same_effector(one: Observation, other: Observation) -> bool:
+    return np.array_equal(one.depth, other.depth) and np.array_equal(one.mask, other.mask)
+
+
+def _refused(behaviour: Behaviour, chunk: Chunk, index: int, step: int, fault: PolicyFault) -> PolicyFailureError:
+    return PolicyFailureError(
+        f"policy {behaviour.name} gave no action for step {step} of episode {index} of {chunk.block.path}: "
+        f"{fault.reason}: {fault.detail}",
+        hint="mend the policy and run the same command again (a changed policy starts in a new folder)",
+        policy=behaviour.name,
+        episode=index,
+        block=chunk.block.path,
+        step=step,
+        reason=str(fault.reason),
+    )
+
+
+def _lost(asked: _Asked, error: InfraError) -> InfrastructureError:
+    chunk, step = asked.open.chunk, asked.situation.step
+    return InfrastructureError(
+        f"step {step} of episode {asked.index} of {chunk.block.path} was lost: its worker {error.reason} twice: "
+        f"{error.detail.strip().splitlines()[-1]}",
+        hint="run the same command again: it resumes; --engine inline shows the whole error",
+        episode=asked.index,
+        block=chunk.block.path,
+        step=step,
+        reason=error.reason,
+    )

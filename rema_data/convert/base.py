@@ -1,0 +1,148 @@
+"""What a format has to do, and the records that pass between it and ``outbound`` and ``inbound``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, NamedTuple, Protocol
+
+from rema_data.convert.pieces import Piece
+from rema_data.release.folder import ReleaseFolder
+from rema_data.release.manifest import BlockEntry, Manifest
+from rema_data.store.block import BlockKey
+
+__all__ = ["ExportOptions", "ExportedFile", "Format", "Plan", "Progress", "Silent", "Source"]
+
+Maps = Literal["metres", "quantised"]
+
+
+class Progress(Protocol):
+    """Where a conversion says how far it is."""
+
+    def phase(self, name: str, total: int) -> None:
+        """A phase begins that has ``total`` steps."""
+        ...
+
+    def advance(self, n: int) -> None:
+        """So many steps more are done."""
+        ...
+
+
+class Silent:
+    """Progress that nobody watches."""
+
+    def phase(self, name: str, total: int) -> None:
+        """Nothing."""
+
+    def advance(self, n: int) -> None:
+        """Nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExportOptions:
+    """What a reader of the export will find in it.
+
+    Attributes
+    ----------
+    maps : str
+        ``metres``: float32 heights in metres. ``quantised``: the stored uint16.
+    next_obs : bool
+        Also write what was seen one step later, which offline reinforcement learning reads.
+    """
+
+    maps: Maps = "metres"
+    next_obs: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class ExportedFile:
+    """A file of an export.
+
+    Attributes
+    ----------
+    path : Path
+    episodes, steps, bytes : int
+    new : bool
+        False where the same export was there already.
+    """
+
+    path: Path
+    episodes: int
+    steps: int
+    bytes: int
+    new: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """An export that is asked for: blocks of a release, the folder for its files, and the options."""
+
+    release: ReleaseFolder
+    blocks: tuple[BlockEntry, ...]
+    target: Path
+    options: ExportOptions
+
+
+class ImportedBlock(NamedTuple):
+    """A block of an export: its pieces in the order of the episodes, to be read once."""
+
+    key: BlockKey
+    pieces: Iterator[Piece]
+
+
+class Source(Protocol):
+    """An export that is being read.
+
+    Attributes
+    ----------
+    manifest : Manifest
+        Of the exported release.
+    card : dict of str to bytes
+        Files of the release that belong to no block, by path.
+    steps : int
+        How many the export holds.
+    """
+
+    manifest: Manifest
+    card: dict[str, bytes]
+    steps: int
+
+    def blocks(self) -> Iterator[ImportedBlock]:
+        """Blocks, each once."""
+        ...
+
+    def notes(self) -> Sequence[str]:
+        """What the files hold that is not imported, as far as reading the blocks has shown it."""
+        ...
+
+
+class Format(Protocol):
+    """A format that releases are written to and read from."""
+
+    def export(self, plan: Plan, progress: Progress) -> list[ExportedFile]:
+        """Write an export; each of its files appears whole or not at all.
+
+        Raises
+        ------
+        RunMismatchError
+            A file of another export is in the way.
+        IntegrityError
+            The release is damaged.
+        StorageError
+            The disk is full or may not be written.
+        """
+        ...
+
+    def read(self, sources: Sequence[Path]) -> AbstractContextManager[Source]:
+        """Open files, or folders of files, of one export.
+
+        Raises
+        ------
+        MissingFileError, InputError
+            There are none, or they belong to exports of different releases.
+        IntegrityError
+            A file is not whole, or is not an export. The blocks raise it too.
+        """
+        ...

@@ -1,0 +1,176 @@
+"""Opening HDF5 files so that a full disk and a damaged file are errors of ours, and no file is ever half there."""
+
+from __future__ import annotations
+
+import io
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import h5py
+
+from rema_data.errors import IntegrityError, MissingFileError, RemaError
+from rema_data.storage import storage_errors, sync_folder
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer, WriteableBuffer
+
+__all__ = ["FORMAT", "VERSION", "NewFile", "damaged", "new_file", "open_file", "reading"]
+
+FORMAT = "rema episodes for robomimic"
+VERSION = 1
+"""Of the layout that ``hdf5`` describes."""
+
+_LIBVER = ("v110", "v110")
+"""Read by HDF5 1.10 and later: checksums on all metadata, and a third of the size of the older form."""
+
+
+class _Sink(io.RawIOBase):
+    """A file that remembers the first thing the disk refuses and swallows what comes after it.
+
+    Left to itself, HDF5 loses what a full disk refuses while an array is closed, or ends the process.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self._file = os.fdopen(descriptor, "w+b", buffering=0)
+        self.error: OSError | None = None
+
+    def readable(self) -> bool:
+        return True
+
+    def writable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: WriteableBuffer) -> int:
+        return self._file.readinto(buffer) or 0
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        return self._file.seek(offset, whence)
+
+    def tell(self) -> int:
+        return self._file.tell()
+
+    def write(self, data: ReadableBuffer) -> int:
+        view = memoryview(data)
+        total = len(view)
+        try:
+            while self.error is None and view:
+                view = view[self._file.write(view) or 0 :]
+        except OSError as error:
+            self.error = error
+        return total
+
+    def truncate(self, size: int | None = None) -> int:
+        try:
+            return self._file.truncate(size)
+        except OSError as error:
+            self.error = self.error or error
+            return size or 0
+
+    def close(self) -> None:
+        self._file.close()
+        super().close()
+
+    def sync(self) -> None:
+        os.fsync(self._file.fileno())
+
+
+class NewFile:
+    """A file that is being written.
+
+    Attributes
+    ----------
+    root : h5py.File
+    """
+
+    def __init__(self, root: h5py.File, sink: _Sink) -> None:
+        self.root = root
+        self._sink = sink
+
+    def check(self) -> None:
+        """Raise the OSError of the first refused write."""
+        if self._sink.error is not None:
+            raise self._sink.error
+
+
+@contextmanager
+def new_file(path: Path) -> Iterator[NewFile]:
+    """A new HDF5 file under a temporary name, which becomes ``path`` when the block ends without an error.
+
+    Raises
+    ------
+    StorageError
+        The disk is full or may not be written; ``path`` is then as it was before.
+    """
+    with storage_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        temporary = Path(name)
+        try:
+            sink = _Sink(descriptor)
+            with sink:
+                with h5py.File(sink, "w", libver=_LIBVER) as root:
+                    new = NewFile(root, sink)
+                    yield new
+                new.check()
+                sink.sync()
+            temporary.chmod(0o644)
+            temporary.replace(path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+        sync_folder(path.parent)
+
+
+def damaged(path: Path, why: str) -> IntegrityError:
+    """The error about a file that is no whole export."""
+    return IntegrityError(
+        f"{path} cannot be read: {why}",
+        hint="export the release again, or restore the file from a copy",
+        path=str(path),
+    )
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Say about ``path`` what HDF5 cannot read of it.
+
+    Raises
+    ------
+    IntegrityError
+        A part of the file is damaged or missing.
+    """
+    try:
+        yield
+    except RemaError:
+        raise
+    except KeyError as error:
+        raise damaged(path, f"a part of it is missing ({error.args[0]})") from error
+    except (OSError, RuntimeError, ValueError, TypeError) as error:
+        raise damaged(path, f"it is truncated or damaged ({error})") from error
+
+
+def open_file(path: Path) -> h5py.File:
+    """An HDF5 file for reading.
+
+    Raises
+    ------
+    MissingFileError
+        It is not there.
+    IntegrityError
+        It is not a whole HDF5 file.
+    """
+    if not path.is_file():
+        raise MissingFileError(
+            f"there is no file {path}", hint="name the files that `rema export` wrote, or their folder", path=str(path)
+        )
+    if not h5py.is_hdf5(path):
+        raise damaged(path, "it is not an HDF5 file")
+    with reading(path):
+        return h5py.File(path, "r")

@@ -1,0 +1,176 @@
+"""Writes the blocks of one task into one HDF5 file; see ``hdf5`` for the layout."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import Any
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from rema_data.convert.base import ExportedFile, ExportOptions, Plan, Progress
+from rema_data.convert.hdf5_file import FORMAT, VERSION, NewFile, new_file, open_file, reading
+from rema_data.convert.layout import obs_of_end_effectors, obs_of_scenes, to_array, trajectory
+from rema_data.convert.pieces import Piece, read_pieces
+from rema_data.errors import RunMismatchError
+from rema_data.quantise import HEIGHT_OFFSET_M
+from rema_data.release.manifest import BlockEntry
+from rema_data.schema import HEIGHT_STEP_M, SCHEMA_VERSION
+from rema_data.store.block import BlockReader
+from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS
+
+__all__ = ["write_file"]
+
+_GZIP_LEVEL = 9
+_GYM = 2
+"""What robomimic calls an environment that is neither robosuite's nor iGibson's; it is looked at only for rollouts."""
+_COMPACT_ATTRIBUTES = 32
+"""An object with more attributes keeps them in a heap of its own, of some 1.4 kB."""
+
+Array = npt.NDArray[Any]
+
+
+def write_file(plan: Plan, task: str, blocks: Sequence[BlockEntry], progress: Progress) -> ExportedFile:
+    """Write the file of one task, unless the same one is there already."""
+    path = plan.target / f"{task}.hdf5"
+    identity = _identity(plan, blocks)
+    episodes, steps = (sum(getattr(block, name) for block in blocks) for name in ("episodes", "steps"))
+    new = not path.exists()
+    if not new:
+        with open_file(path) as root, reading(path):
+            if dict(root["rema"].attrs if "rema" in root else {}) != identity:
+                raise RunMismatchError(
+                    f"{path} is there already, and is another export",
+                    hint="export into another folder, or move the file away",
+                    path=str(path),
+                )
+    else:
+        progress.phase(f"export {task}", steps)
+        with new_file(path) as file:
+            _Writer(file, plan.options, progress).write(plan, task, blocks)
+            file.root["rema"].attrs.update(identity)
+    return ExportedFile(path, episodes, steps, path.stat().st_size, new)
+
+
+def _identity(plan: Plan, blocks: Sequence[BlockEntry]) -> dict[str, Any]:
+    """Attributes of the group ``rema``: equal ones mean equal files."""
+    manifest = plan.release.manifest
+    return {
+        "format": FORMAT,
+        "format_version": VERSION,
+        "schema_version": SCHEMA_VERSION,
+        "release": manifest.name,
+        "release_sha256": manifest.sha256,
+        "blocks": " ".join(block.key.path for block in blocks),
+        "maps": plan.options.maps,
+        "next_obs": plan.options.next_obs,
+        "quantised_step_m": HEIGHT_STEP_M,
+        "quantised_offset_m": HEIGHT_OFFSET_M,
+    }
+
+
+class _Writer:
+    """Writes into a new file and counts its demos."""
+
+    def __init__(self, file: NewFile, options: ExportOptions, progress: Progress) -> None:
+        self._file = file
+        self._options = options
+        self._progress = progress
+        self._data = file.root.create_group("data")
+        self._demos = 0
+        self._filters: defaultdict[str, list[str]] = defaultdict(list)
+
+    def write(self, plan: Plan, task: str, blocks: Sequence[BlockEntry]) -> None:
+        root = self._file.root
+        rema = _group(root, "rema")
+        _write_bytes(rema, "manifest", plan.release.manifest.to_bytes())
+        card = _group(rema, "card")
+        own = [file for file in plan.release.manifest.files if file.block is None and plan.release.has(file)]
+        for number, file in enumerate(own):
+            _write_bytes(card, str(number), plan.release.file(file).read_bytes()).attrs["path"] = file.path
+        for block in blocks:
+            reader = plan.release.block(block)
+            _write_tables(_group(rema, block.key.path), reader)
+            first_step = 0
+            for piece in read_pieces(reader):
+                self._write_piece(piece, first_step)
+                first_step += piece.steps.num_rows
+                self._progress.advance(piece.steps.num_rows)
+        self._data.attrs["total"] = sum(block.steps for block in blocks)
+        environment = {"env_name": f"rema-{task}", "type": _GYM, "env_kwargs": {"task": task}}
+        self._data.attrs["env_args"] = json.dumps(environment)
+        mask = _group(root, "mask")
+        for name, demos in self._filters.items():
+            mask[name] = np.array(demos, "S")
+        if "val" in mask:
+            mask["valid"] = mask["val"]  # robomimic's own name for it
+
+    def _write_piece(self, piece: Piece, first_step: int) -> None:
+        maps, options = piece.maps, self._options
+        scenes = obs_of_scenes(maps.scene, options.maps)
+        end_effectors = obs_of_end_effectors(maps.ee_depth, maps.ee_mask, options.maps)
+        arrays = trajectory(piece.steps)
+        for row in piece.episodes.to_pylist():
+            rows = slice(row["first_step"], row["first_step"] + row["steps"])
+            row["first_step"] += first_step
+            demo = self._new_demo(row)
+            for name, array in arrays.items():
+                demo[name] = array[rows]
+            seen = {"scene": scenes[rows], "end_effector": end_effectors[maps.ee_row[rows]]}
+            for name, obs in seen.items():
+                _write_obs(demo, "obs", name, obs)
+                if options.next_obs:
+                    _write_obs(demo, "next_obs", name, np.concatenate([obs[1:], obs[-1:]]))
+            self._file.check()
+
+    def _new_demo(self, row: dict[str, Any]) -> h5py.Group:
+        name = f"demo_{self._demos}"
+        self._demos += 1
+        properties = h5py.h5p.create(h5py.h5p.GROUP_CREATE)
+        properties.set_attr_phase_change(_COMPACT_ATTRIBUTES, _COMPACT_ATTRIBUTES // 2)
+        properties.set_obj_track_times(False)
+        demo = h5py.Group(h5py.h5g.create(self._data.id, name.encode(), gcpl=properties))
+        demo.attrs["num_samples"] = row["steps"]
+        for column in EPISODE_COLUMNS:
+            value = row[column.name]
+            if value is not None:
+                demo.attrs[column.name] = value if column.type == "string" else np.dtype(column.type).type(value)
+        names = [row["split"], f"round_{row['round']}", f"round_{row['round']}_{row['split']}"]
+        if row["success"]:
+            names += [f"{row['split']}_success", "success"]
+        for filter_key in names:
+            self._filters[filter_key].append(name)
+        return demo
+
+
+def _group(parent: h5py.Group, path: str) -> h5py.Group:
+    """A group, and those on the way to it. HDF5 would make these of itself, and write the time into them."""
+    for name in path.split("/"):
+        parent = parent[name] if name in parent else parent.create_group(name)
+    return parent
+
+
+def _write_obs(demo: h5py.Group, group: str, name: str, obs: Array) -> None:
+    chunks = (1, *obs.shape[1:])
+    _group(demo, group).create_dataset(name, data=obs, chunks=chunks, compression="gzip", compression_opts=_GZIP_LEVEL)
+
+
+def _write_tables(group: h5py.Group, reader: BlockReader) -> None:
+    """Columns of the steps, and the schemas of both tables: their metadata are part of the bytes of Parquet files."""
+    steps = reader.steps()
+    for name, table in (("episodes", reader.episodes()), ("steps", steps)):
+        _write_bytes(_group(group, "schema"), name, table.schema.serialize().to_pybytes())
+    for column in STEP_COLUMNS:
+        array = to_array(steps[column.name], column)
+        packed = {"compression": "gzip", "shuffle": True} if len(array) else {}
+        dataset = _group(group, "steps").create_dataset(column.name, data=array, **packed)
+        notes = {"meaning": column.meaning, "unit": column.unit, "frame": column.frame}
+        dataset.attrs.update({key: text for key, text in notes.items() if text})
+
+
+def _write_bytes(root: h5py.Group, name: str, data: bytes) -> h5py.Dataset:
+    packed = {"compression": "gzip"} if data else {}
+    return root.create_dataset(name, data=np.frombuffer(data, np.uint8), **packed)

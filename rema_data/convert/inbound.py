@@ -1,0 +1,210 @@
+"""Import: an export becomes a release again, with the same hashes where nothing was changed."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rema_data.convert.base import Progress, Silent, Source
+from rema_data.convert.formats import find_format
+from rema_data.errors import RunMismatchError
+from rema_data.release.folder import ReleaseFolder
+from rema_data.release.manifest import MANIFEST, Manifest, check_name
+from rema_data.release.seal import Description, file_sha256, seal
+from rema_data.storage import storage_errors, sync_folder, write_atomic
+from rema_data.store.block import BlockKey, BlockWriter
+
+__all__ = ["Imported", "import_release"]
+
+
+_NAMED = 3
+"""How many files of a block are named."""
+
+
+@dataclass(frozen=True, slots=True)
+class Imported:
+    """What an import made.
+
+    Attributes
+    ----------
+    release : ReleaseFolder
+    original : Manifest
+        Of the release that was exported.
+    differences : tuple of str
+        Why the identity is another one than the original's; empty where it is the same.
+    notes : tuple of str
+        What the files hold that was not imported.
+    """
+
+    release: ReleaseFolder
+    original: Manifest
+    differences: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def identical(self) -> bool:
+        """Whether this is the release that was exported, to the last byte."""
+        return self.release.manifest.sha256 == self.original.sha256
+
+
+def import_release(
+    sources: Sequence[Path],
+    root: Path,
+    name: str | None = None,
+    format: str = "hdf5",
+    *,
+    progress: Progress | None = None,
+) -> Imported:
+    """Make a release of an export.
+
+    Parameters
+    ----------
+    sources : sequence of Path
+        Files of one export, or folders of them.
+    root : Path
+        Folder of releases; the new one is ``root / name``.
+    name : str, optional
+        By default that of the release that was exported.
+    format : str
+        Name of a format.
+    progress : Progress, optional
+
+    Raises
+    ------
+    InputError
+        The name cannot be one, or the files are no export, or not of one release.
+    MissingFileError
+        A file is not there.
+    IntegrityError
+        A file is not whole, or contradicts itself.
+    RunMismatchError
+        A release of that name is there already.
+    StorageError
+        The disk is full or may not be written.
+    """
+    progress = progress or Silent()
+    reader = find_format(format)
+    if name is not None:
+        check_name(name)
+    with reader.read(sources) as source, storage_errors(root):
+        name = name or source.manifest.name
+        if (root / name / MANIFEST).exists():
+            raise RunMismatchError(
+                f"{root / name} exists: a sealed release is never written to",
+                hint="import under another name (--name), or move the old release away",
+                path=str(root / name),
+            )
+        root.mkdir(parents=True, exist_ok=True)
+        progress.phase("import", source.steps)
+        with tempfile.TemporaryDirectory(prefix=f".{name}.importing-", dir=root) as folder:
+            staging = Path(folder) / name
+            staging.mkdir()
+            written = _write_blocks(source, staging, progress)
+            differences = _compare(source.manifest, staging, written)
+            if name == source.manifest.name and not differences:
+                _write_card(source, staging)
+                missing = [file.path for file in source.manifest.files if not (staging / file.path).is_file()]
+                if not missing:
+                    release = _restore(source.manifest, staging, root)
+                    return Imported(release, source.manifest, (), tuple(source.notes()))
+                differences = [f"{path}: not part of the export, written anew" for path in missing]
+            if name != source.manifest.name:
+                differences.insert(0, f"the name is {name}, not {source.manifest.name}")
+            release = seal(
+                staging,
+                root,
+                _description(source.manifest, name),
+                list(written),
+                fingerprint=dict(source.manifest.fingerprint),
+                plan_sha256=source.manifest.plan_sha256,
+            )
+        return Imported(release, source.manifest, tuple(differences), tuple(source.notes()))
+
+
+def _write_blocks(source: Source, staging: Path, progress: Progress) -> dict[BlockKey, int]:
+    """Write the blocks of an export; how many episodes each of them has."""
+    written = {}
+    for key, pieces in source.blocks():
+        writer, episodes = BlockWriter(staging / key.path), 0
+        for piece in pieces:
+            writer.append(*piece)
+            episodes += piece.episodes.num_rows
+            progress.advance(piece.steps.num_rows)
+        writer.close()
+        written[key] = episodes
+    return written
+
+
+def _compare(original: Manifest, staging: Path, written: Mapping[BlockKey, int]) -> list[str]:
+    """How the blocks that were written differ from those of the original."""
+    differences = []
+    for block in original.blocks:
+        files = [file for file in original.files if file.block == block.key.path]
+        if block.key not in written:
+            differences.append(f"{block.key.path}: not part of the export")
+            continue
+        if written[block.key] != block.episodes:
+            differences.append(f"{block.key.path}: {written[block.key]} of {block.episodes} episodes")
+            continue
+        wanted = {file.path: file.sha256 for file in files}
+        folder = staging / block.key.path
+        found = {path.relative_to(staging).as_posix(): path for path in sorted(folder.rglob("*")) if path.is_file()}
+        other = sorted(
+            path for path in wanted.keys() | found if path not in found or file_sha256(found[path]) != wanted.get(path)
+        )
+        if other:
+            listed = ", ".join(path.removeprefix(f"{block.key.path}/") for path in other[:_NAMED])
+            rest = f" and {len(other) - _NAMED} more" if len(other) > _NAMED else ""
+            differences.append(f"{block.key.path}: other content of {listed}{rest}")
+    return differences
+
+
+def _write_card(source: Source, staging: Path) -> None:
+    """Files of the release that belong to no block, as far as the export has them unchanged."""
+    for file in source.manifest.files:
+        if file.block is None and file.path in source.card:
+            path = staging / file.path
+            write_atomic(path, source.card[file.path])
+            if file_sha256(path) != file.sha256:
+                path.unlink()
+
+
+def _restore(manifest: Manifest, staging: Path, root: Path) -> ReleaseFolder:
+    """Put the files of a release where its manifest says, and the manifest last."""
+    here = [file for file in manifest.files if (root / file.location).exists()]  # of a parent release, for instance
+    for file in here:
+        if file_sha256(root / file.location) != file.sha256:
+            raise RunMismatchError(
+                f"{root / file.location} exists with other content",
+                hint="import into another folder, or move the old release away",
+                path=str(root / file.location),
+            )
+    for file in manifest.files:
+        if file in here:
+            continue
+        target = root / file.location
+        target.parent.mkdir(parents=True, exist_ok=True)
+        path = staging / file.path
+        with path.open("rb") as opened:
+            os.fsync(opened.fileno())
+        path.chmod(0o444)
+        path.replace(target)
+        sync_folder(target.parent)
+    target = root / manifest.name / MANIFEST
+    write_atomic(target, manifest.to_bytes())
+    target.chmod(0o444)
+    return ReleaseFolder(manifest, root)
+
+
+def _description(original: Manifest, name: str) -> Description:
+    origin = f"Imported from an export of {original.name} ({original.sha256})."
+    return Description(
+        name,
+        original.title,
+        f"{original.description}\n\n{origin}" if original.description else origin,
+        original.license,
+        original.citation,
+    )

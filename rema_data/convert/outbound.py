@@ -1,0 +1,61 @@
+"""Export: blocks of a release, in another format."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from rema_data.convert.base import ExportedFile, ExportOptions, Plan, Progress, Silent
+from rema_data.convert.formats import find_format
+from rema_data.release.folder import ReleaseFolder
+
+__all__ = ["export_release"]
+
+
+def export_release(
+    release: ReleaseFolder,
+    target: Path,
+    format: str = "hdf5",
+    options: ExportOptions | None = None,
+    *,
+    tasks: Iterable[str] | None = None,
+    rounds: Iterable[int] | None = None,
+    split: str | None = None,
+    progress: Progress | None = None,
+) -> list[ExportedFile]:
+    """Write a release, or blocks of it, into the folder ``target``.
+
+    A file appears whole or not at all; files of the same export that are there already are left as they are, so that an
+    interrupted export goes on where it stopped.
+
+    Parameters
+    ----------
+    release : ReleaseFolder
+        From ``rema_data.release.folder.find_release``.
+    target : Path
+        Folder of the files; created where it is missing.
+    format : str
+        Name of a format.
+    options : ExportOptions, optional
+    tasks, rounds, split
+        Which blocks; all by default.
+    progress : Progress, optional
+
+    Raises
+    ------
+    InputError
+        There is no such format, task, round or split.
+    MissingFileError
+        Not all of the blocks are on this machine.
+    RunMismatchError
+        A file of another export is in the way.
+    IntegrityError
+        The release is damaged.
+    StorageError
+        The disk is full or may not be written.
+    """
+    writer = find_format(format)
+    blocks = release.manifest.select(tasks, rounds, split)
+    release.require(blocks)
+    plan = Plan(release, blocks, target, options or ExportOptions())
+    return writer.export(plan, progress or Silent())

@@ -1,0 +1,92 @@
+"""A block as a stream of pieces: whole episodes, a few hundred steps at a time, so that memory stays small."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from rema_data.errors import IntegrityError
+from rema_data.store.block import BlockReader, EncodedMaps
+from rema_data.store.maps import MapsReader
+
+__all__ = ["PIECE_STEPS", "Piece", "read_pieces"]
+
+PIECE_STEPS = 256
+"""Steps of a piece, at least one episode: some 50 MB of float32 maps."""
+
+Array = npt.NDArray[Any]
+
+
+class Piece(NamedTuple):
+    """Some episodes of a block, as ``BlockWriter.append`` takes them: rows count from 0.
+
+    Attributes
+    ----------
+    episodes, steps : pyarrow.Table
+    maps : EncodedMaps
+    """
+
+    episodes: pa.Table
+    steps: pa.Table
+    maps: EncodedMaps
+
+
+def read_pieces(reader: BlockReader, piece_steps: int = PIECE_STEPS) -> Iterator[Piece]:
+    """Pieces of a block in order.
+
+    Raises
+    ------
+    MissingFileError, IntegrityError
+        A file of the block is not there, is damaged, or contradicts another one.
+    """
+    episodes, steps, maps = reader.episodes(), reader.steps(), reader.maps()
+    counts = episodes["steps"].to_numpy().astype(np.int64)
+    ends = np.cumsum(counts)
+    first = ends - counts
+    total = int(ends[-1]) if len(ends) else 0
+    scene_row, ee_row = steps["scene_row"].to_numpy(), steps["ee_row"].to_numpy()
+    if (
+        (counts < 1).any()
+        or not np.array_equal(episodes["first_step"].to_numpy(), first)
+        or not np.array_equal(scene_row, np.arange(total))
+        or maps.rows("scene") != total
+        or (total and not 0 <= ee_row.min() <= ee_row.max() < maps.rows("ee_depth"))
+    ):
+        raise IntegrityError(
+            f"the tables and maps of {reader.folder} contradict each other",
+            hint="run `rema verify` to find the damaged file",
+            path=str(reader.folder),
+        )
+    start = 0
+    while start < len(ends):
+        limit = first[start] + piece_steps
+        stop = max(start + 1, int(np.searchsorted(ends, limit, side="right")))
+        begin, end = int(first[start]), int(ends[stop - 1])
+        rows, local = np.unique(ee_row[begin:end], return_inverse=True)
+        yield Piece(
+            _with(episodes.slice(start, stop - start), "first_step", first[start:stop] - begin),
+            steps.slice(begin, end - begin),
+            EncodedMaps(
+                maps.read("scene", begin, end),
+                local.astype(np.int32),
+                _read_rows(maps, "ee_depth", rows),
+                _read_rows(maps, "ee_mask", rows),
+            ),
+        )
+        start = stop
+
+
+def _read_rows(maps: MapsReader, name: str, rows: Array) -> Array:
+    """Some rows of an array, ascending, read in runs of neighbours."""
+    runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+    return np.concatenate([maps.read(name, int(run[0]), int(run[-1]) + 1) for run in runs])
+
+
+def _with(table: pa.Table, name: str, values: Array) -> pa.Table:
+    position = table.schema.get_field_index(name)
+    field = table.schema.field(position)
+    return table.set_column(position, field, pa.array(values, field.type))

@@ -1,0 +1,143 @@
+"""What a download has to fetch: which files of a release are wanted, which are here, and what is missing."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rema_data.download.part import SUFFIX
+from rema_data.download.sources import Source
+from rema_data.errors import StorageError
+from rema_data.release.folder import ReleaseFolder
+from rema_data.release.manifest import FileEntry
+
+__all__ = ["BlockPlan", "Plan", "check_space", "make_plan"]
+
+WHOLE = "(release)"
+"""Stands for the files that belong to no block: datasheet and the like."""
+_UNITS = ("B", "kB", "MB", "GB", "TB")
+
+
+@dataclass(frozen=True, slots=True)
+class BlockPlan:
+    """Files of one block.
+
+    Attributes
+    ----------
+    block : str
+        Its path, or ``(release)`` for the files that belong to no block.
+    files, bytes : int
+    missing_files, missing_bytes : int
+        Of those, what is not here yet.
+    source : str
+        The first source that is asked for what is missing; local folders that lack it are passed over.
+    """
+
+    block: str
+    files: int
+    bytes: int
+    missing_files: int
+    missing_bytes: int
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Wanted files of a release.
+
+    Attributes
+    ----------
+    files : tuple of FileEntry
+    missing : tuple of FileEntry
+        Those that are not here with their size.
+    """
+
+    files: tuple[FileEntry, ...]
+    missing: tuple[FileEntry, ...]
+
+    @property
+    def bytes(self) -> int:
+        """Of all wanted files."""
+        return sum(entry.bytes for entry in self.files)
+
+    @property
+    def missing_bytes(self) -> int:
+        """Of the missing files."""
+        return sum(entry.bytes for entry in self.missing)
+
+    def by_block(self, sources: Sequence[Source]) -> tuple[BlockPlan, ...]:
+        """The same in blocks, with the source that comes first for each."""
+        blocks: dict[str, list[FileEntry]] = {}
+        for entry in self.files:
+            blocks.setdefault(entry.block or WHOLE, []).append(entry)
+        absent = {entry.location for entry in self.missing}
+        return tuple(
+            _block_plan(name, entries, [entry for entry in entries if entry.location in absent], sources)
+            for name, entries in blocks.items()
+        )
+
+
+def _block_plan(name: str, entries: list[FileEntry], missing: list[FileEntry], sources: Sequence[Source]) -> BlockPlan:
+    return BlockPlan(
+        name,
+        len(entries),
+        sum(entry.bytes for entry in entries),
+        len(missing),
+        sum(entry.bytes for entry in missing),
+        next((source.label for source in sources if _may_have(source, missing)), "") if missing else "",
+    )
+
+
+def _may_have(source: Source, entries: list[FileEntry]) -> bool:
+    """Whether a local folder has the files; another source may have anything."""
+    folder = source.folder()
+    return folder is None or all(_size(folder / entry.location) == entry.bytes for entry in entries)
+
+
+def make_plan(release: ReleaseFolder, files: Iterable[FileEntry]) -> Plan:
+    """What has to be done for ``files`` of a release."""
+    wanted = tuple(files)
+    return Plan(wanted, tuple(entry for entry in wanted if not release.has(entry)))
+
+
+def check_space(root: Path, plan: Plan) -> None:
+    """Raise where the missing bytes do not fit on the disk of ``root``, which need not exist yet.
+
+    Raises
+    ------
+    StorageError
+    """
+    needed = sum(entry.bytes - min(entry.bytes, _arrived(root, entry)) for entry in plan.missing)
+    place = next(folder for folder in (root, *root.absolute().parents) if folder.exists())
+    free = shutil.disk_usage(place).free
+    if needed > free:
+        raise StorageError(
+            f"{_size_words(needed)} have to be fetched to {root}, and {_size_words(free)} are free there",
+            hint="free some space, set REMA_HOME to a folder on another disk, or take less: --task, --round, --split",
+            needed=needed,
+            free=free,
+            path=str(root),
+        )
+
+
+def _arrived(root: Path, entry: FileEntry) -> int:
+    """Bytes of a file that an earlier run has left."""
+    return max(0, _size(root / f"{entry.location}{SUFFIX}"))
+
+
+def _size(path: Path) -> int:
+    try:
+        return os.stat(path).st_size
+    except OSError:
+        return -1
+
+
+def _size_words(size: float) -> str:
+    """Such as 1.2 GB."""
+    unit = 0
+    while size >= 1000 and unit < len(_UNITS) - 1:
+        size, unit = size / 1000, unit + 1
+    return f"{size:,.1f} {_UNITS[unit]}" if unit else f"{size:,.0f} {_UNITS[unit]}"

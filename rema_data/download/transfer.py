@@ -1,0 +1,190 @@
+"""One file, from whatever sources it takes, until it is whole and its sha256 is right.
+
+The sources are asked in order, and the next one at once where one fails. Only when all have failed does a thread wait,
+and asks again those that may recover. A connection that drops goes on at the byte where it stopped.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from rema_data.download.mirrors import Mirrors
+from rema_data.download.part import PartFile
+from rema_data.download.sources import Faltered, Refused, Source
+from rema_data.release.manifest import FileEntry
+
+__all__ = ["Stopped", "Transfer", "Undelivered"]
+
+WAITS_S = (0.0, 0.5, 1.0, 2.0)
+"""Pause before every pass over the sources, s."""
+LONGEST_WAIT_S = 30.0
+"""However long a server asks us to wait."""
+DROPS = 8
+"""Connections in a row that may drop without an end, and one more for each ``BYTES_PER_DROP`` that have arrived."""
+BYTES_PER_DROP = 1 << 20
+
+
+class Stopped(Exception):
+    """The download was interrupted."""
+
+
+class Undelivered(Exception):
+    """No source has delivered a file.
+
+    Attributes
+    ----------
+    entry : FileEntry
+    answers : dict of str to str
+        What every source said, by its label.
+    corrupt : bool
+        Whether one of them sent other bytes.
+    """
+
+    def __init__(self, entry: FileEntry, answers: dict[str, str], corrupt: bool) -> None:
+        super().__init__(entry.location)
+        self.entry = entry
+        self.answers = answers
+        self.corrupt = corrupt
+
+
+class Transfer:
+    """The fetching of one file.
+
+    Parameters
+    ----------
+    entry : FileEntry
+    target : Path
+        Where it will be.
+    mirrors : Mirrors
+    advance : callable
+        Gets the number of bytes by which the file has grown; negative where bytes are thrown away.
+    stop : threading.Event
+        Ends the transfer at the next chunk.
+
+    Attributes
+    ----------
+    moved : int
+        Bytes that came from the sources, those thrown away included.
+    """
+
+    def __init__(
+        self, entry: FileEntry, target: Path, mirrors: Mirrors, advance: Callable[[int], None], stop: threading.Event
+    ) -> None:
+        self.entry = entry
+        self.target = target
+        self.moved = 0
+        self._mirrors = mirrors
+        self._advance = advance
+        self._stop = stop
+        self._origins: set[Source | None] = set()
+        self._corrupt = False
+
+    def run(self) -> None:
+        """Fetch the file.
+
+        Raises
+        ------
+        Undelivered
+            No source has delivered it.
+        Stopped
+        StorageError
+            The disk is full or may not be written.
+        """
+        with PartFile(self.target, self.entry.bytes) as part:
+            if part.position:
+                self._origins.add(None)
+                self._advance(part.position)
+            if not self._finished(part):
+                self._fetch(part)
+
+    def _fetch(self, part: PartFile) -> None:
+        """Pass over the sources until one has delivered."""
+        answers = {source.label: f"given up: {why}" for source, why in self._mirrors.given_up().items()}
+        failed: dict[Source, str] = {}
+        sources = self._mirrors.usable()
+        asked_s = 0.0
+        for wait_s in WAITS_S:
+            if not sources:
+                break
+            if self._stop.wait(max(wait_s, min(asked_s, LONGEST_WAIT_S))):
+                raise Stopped
+            asked_s = 0.0
+            for source in tuple(sources):
+                try:
+                    self._take(part, source)
+                except Refused as error:
+                    sources.remove(source)
+                    answers[source.label] = str(error)
+                    if not error.absent:
+                        failed[source] = str(error)
+                except Faltered as error:
+                    answers[source.label] = failed[source] = str(error)
+                    asked_s = max(asked_s, error.wait_s)
+                else:
+                    self._mirrors.settle(source, failed)
+                    return
+        self._mirrors.settle(None, failed)
+        self._raise_if_stopped()
+        if not part.position:
+            part.discard()
+        raise Undelivered(self.entry, answers, self._corrupt)
+
+    def _take(self, part: PartFile, source: Source) -> None:
+        """The rest of the file from one source, in as many connections as bring it forward.
+
+        Raises
+        ------
+        Refused, Faltered
+        """
+        drops, began = 0, part.position
+        while True:
+            before = part.position
+            try:
+                self._stream(part, source)
+            except Faltered:
+                drops += 1
+                if part.position == before or drops > DROPS + (part.position - began) // BYTES_PER_DROP:
+                    raise
+                continue
+            whole_from_here = self._origins == {source}
+            if self._finished(part):
+                return
+            if whole_from_here:
+                self._corrupt = True
+                raise Refused(f"sent other bytes than the release has (expected sha256 {self.entry.sha256[:12]}...)")
+
+    def _stream(self, part: PartFile, source: Source) -> None:
+        """One connection, from where the file stands to its end."""
+        self._raise_if_stopped()
+        with source.open(self.entry.location, part.position, part.size) as stream:
+            skip = part.position - stream.start
+            self._origins.add(source)
+            while part.position < part.size:
+                data = stream.read(part.size - part.position + skip)
+                self._raise_if_stopped()
+                if not data:
+                    raise Faltered(f"stopped after {part.position:,} of {part.size:,} bytes")
+                self.moved += len(data)
+                fresh = data[skip:] if skip else data
+                skip -= len(data) - len(fresh)
+                if fresh:
+                    part.append(fresh)
+                    self._advance(len(fresh))
+
+    def _raise_if_stopped(self) -> None:
+        if self._stop.is_set():
+            raise Stopped
+
+    def _finished(self, part: PartFile) -> bool:
+        """Give a whole and right file its name; throw a whole and wrong one away."""
+        if part.position < part.size:
+            return False
+        if part.matches(self.entry.sha256):
+            part.finish()
+            return True
+        self._advance(-part.position)
+        part.restart()
+        self._origins.clear()
+        return False

@@ -1,0 +1,128 @@
+"""Steps of a release to look at: chosen by place or by outcome, with what was observed.
+
+Only the chosen rows are decoded: looking at a dozen steps needs no decoded cache.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from rema_data.errors import InputError
+from rema_data.quantise import decode_heights, unpack_mask
+from rema_data.release.folder import ReleaseFolder
+from rema_data.schema import Observation
+from rema_data.store.block import BlockReader
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+__all__ = ["GalleryStep", "find_steps"]
+
+
+@dataclass(frozen=True, slots=True)
+class GalleryStep:
+    """A step to look at.
+
+    Attributes
+    ----------
+    row : mapping
+        Of ``steps.parquet``: see ``rema_data.store.columns.STEP_COLUMNS``.
+    observation : Observation
+    """
+
+    row: Mapping[str, Any]
+    observation: Observation
+
+
+def find_steps(
+    release: ReleaseFolder,
+    tasks: Iterable[str] | None = None,
+    rounds: Iterable[int] | None = None,
+    split: str | None = None,
+    *,
+    episodes: Collection[int] = (),
+    which: Literal["last", "picks", "all"] = "last",
+    success: bool | None = None,
+    failure: str | None = None,
+    count: int = 12,
+) -> list[GalleryStep]:
+    """Steps of a release, in its order.
+
+    Parameters
+    ----------
+    release : ReleaseFolder
+    tasks, rounds, split
+        Blocks to choose from; those that are on this machine.
+    episodes : collection of int
+        All steps of these episodes. Without, ``count`` steps that look drawn at random: always the same ones.
+    which : {"last", "picks", "all"}
+        Last steps of their task, the steps before them, or both; without ``episodes``.
+    success : bool, optional
+        Only steps that succeeded, or failed.
+    failure : str, optional
+        Only steps that failed for this reason.
+    count : int
+
+    Raises
+    ------
+    InputError
+        The release has no such block, episode or step.
+    MissingFileError
+        None of the blocks is on this machine.
+    IntegrityError
+        A file of the release is damaged.
+    """
+    wanted = release.manifest.select(tasks, rounds, split)
+    local = {block.key for block in release.blocks()}
+    blocks = [block for block in wanted if block.key in local]
+    if not blocks:
+        release.require(wanted)
+    tables = [_kept(release.block(block).steps(), episodes, which, success, failure) for block in blocks]
+    ends = np.cumsum([table.num_rows for table in tables])
+    chosen = np.arange(ends[-1])
+    if not len(chosen):
+        raise InputError(
+            f"{release.manifest.name} has no such step", hint="ask for other episodes or outcomes: see `rema stats`"
+        )
+    if not episodes:
+        rng = np.random.default_rng(int(release.manifest.sha256[:16], 16))
+        chosen = np.sort(rng.permutation(chosen)[:count])
+    found: list[GalleryStep] = []
+    for block, table, end in zip(blocks, tables, ends, strict=True):
+        here = chosen[(chosen >= end - table.num_rows) & (chosen < end)] - (end - table.num_rows)
+        found += _with_maps(release.block(block), table.take(here).to_pylist())
+    return found
+
+
+def _kept(
+    steps: pa.Table, episodes: Collection[int], which: str, success: bool | None, failure: str | None
+) -> pa.Table:
+    """The rows of a table that are asked for."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    keep = pa.array(np.ones(steps.num_rows, bool))
+    if episodes:
+        keep = pc.is_in(steps["episode"], value_set=pa.array(sorted(episodes), steps["episode"].type))
+    elif which != "all":
+        keep = pc.equal(steps["last"], which == "last")
+    if success is not None:
+        keep = pc.and_(keep, pc.equal(steps["success"], success))
+    if failure is not None:
+        keep = pc.and_(keep, pc.fill_null(pc.equal(steps["failure"], failure), False))
+    return steps.filter(keep)
+
+
+def _with_maps(reader: BlockReader, rows: Sequence[Mapping[str, Any]]) -> Iterator[GalleryStep]:
+    maps = reader.maps()
+    for row in rows:
+        scene, depth = (
+            decode_heights(maps.read(name, row[place], row[place] + 1)[0]).clip(0).astype(np.uint16)
+            for name, place in (("scene", "scene_row"), ("ee_depth", "ee_row"))
+        )
+        mask = unpack_mask(maps.read("ee_mask", row["ee_row"], row["ee_row"] + 1)[0])
+        yield GalleryStep(row, Observation(scene, depth, mask))

@@ -1,0 +1,115 @@
+"""Batches of steps: fixed-point as they come from memory, or float32 in metres as a network takes them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import torch
+from torch import Tensor
+from torch.utils.data._utils.collate import default_collate_fn_map
+
+from rema_data.loader.convert import to_metres
+
+__all__ = ["Batch", "FloatBatch", "StepBatch"]
+
+
+class Batch:
+    """What both kinds of batch can do: they hold tensors whose first axis is the step."""
+
+    __slots__ = ()
+    __match_args__: ClassVar[tuple[str, ...]]
+
+    @property
+    def tensors(self) -> tuple[Tensor, ...]:
+        """The fields, in order."""
+        return tuple(getattr(self, name) for name in self.__match_args__)
+
+    def _map(self, function: Callable[[Tensor], Tensor]) -> Self:
+        return type(self)(*map(function, self.tensors))
+
+    def __len__(self) -> int:
+        return len(self.tensors[0])
+
+    def __getitem__(self, which: int | slice | Tensor) -> Self:
+        """Some steps of the batch, as a batch: of one step for an integer."""
+        if isinstance(which, int):
+            if not -len(self) <= which < len(self):
+                raise IndexError(f"step {which} is outside of the batch, which has {len(self)}")
+            which = slice(which, which + 1 or None)
+        return self._map(lambda tensor: tensor[which])
+
+    def to(self, device: torch.device | str, non_blocking: bool = False) -> Self:
+        """The batch on another device."""
+        return self._map(lambda tensor: tensor.to(device, non_blocking=non_blocking))
+
+    def pin_memory(self) -> Self:
+        """The batch in page-locked memory, as ``DataLoader(pin_memory=True)`` asks for it."""
+        return self._map(Tensor.pin_memory)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StepBatch(Batch):
+    """N steps, quantised: 61.5 KB a step.
+
+    Attributes
+    ----------
+    scene : int16 (N, 64, 64)
+        Height above the table in 0.1 mm.
+    ee_depth : int16 (N, 2, 112, 112)
+        Height of the end effector above its lowest allowed point in 0.1 mm, two states, at yaw 0.
+    ee_mask : uint8 (N, 2, 112, 14)
+        Whether the topmost body may touch the target, eight pixels of a row in a byte, the first in the highest bit.
+    action : int64 (N,)
+        Grid index: see ``rema_data.grid``.
+    success : bool (N,)
+    index : int64 (N,)
+        Rows in the dataset's table.
+    """
+
+    scene: Tensor
+    ee_depth: Tensor
+    ee_mask: Tensor
+    action: Tensor
+    success: Tensor
+    index: Tensor
+
+    def float(self) -> FloatBatch:
+        """The batch in metres, on the device where it is."""
+        scene, end_effector = to_metres(self.scene, self.ee_depth, self.ee_mask)
+        return FloatBatch(scene, end_effector, self.action, self.success, self.index)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FloatBatch(Batch):
+    """N steps as float32: 217 KB a step.
+
+    Attributes
+    ----------
+    scene : float32 (N, 1, 64, 64)
+        Metres above the table.
+    end_effector : float32 (N, 4, 112, 112)
+        Depth (m) and mask (0 or 1) of state 1, depth and mask of state 2.
+    action : int64 (N,)
+        Grid index: see ``rema_data.grid``.
+    success : bool (N,)
+    index : int64 (N,)
+        Rows in the dataset's table.
+    """
+
+    scene: Tensor
+    end_effector: Tensor
+    action: Tensor
+    success: Tensor
+    index: Tensor
+
+
+def _collate(batch: Any, *, collate_fn_map: Mapping[Any, Any] | None = None) -> Any:
+    """Keep a batch that was gathered whole; join several."""
+    if isinstance(batch, Batch):
+        return batch
+    return type(batch[0])(*map(torch.cat, zip(*(part.tensors for part in batch), strict=True)))
+
+
+default_collate_fn_map.update({StepBatch: _collate, FloatBatch: _collate})

@@ -1,0 +1,180 @@
+"""From the files of a release to plain arrays: every file checked against the manifest, every shard decoded once."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from rema_data.errors import IntegrityError, MissingFileError
+from rema_data.grid import EE_PIXELS, SCENE_PIXELS
+from rema_data.loader.index import Categories, Index, encode_steps
+from rema_data.quantise import decode_heights
+
+if TYPE_CHECKING:
+    from rema_data.release.folder import ReleaseFolder
+    from rema_data.release.manifest import BlockEntry, FileEntry
+
+__all__ = ["MAP_ARRAYS", "Progress", "Sink", "decode_blocks", "map_rows", "row_bytes"]
+
+Array = npt.NDArray[Any]
+Progress = Callable[[int, int], None]
+"""Called with the number of bytes decoded so far, and of all."""
+
+MAP_ARRAYS: dict[str, tuple[str, tuple[int, ...]]] = {
+    "scene": ("<i2", (SCENE_PIXELS, SCENE_PIXELS)),
+    "ee_depth": ("<i2", (2, EE_PIXELS, EE_PIXELS)),
+    "ee_mask": ("|u1", (2, EE_PIXELS, EE_PIXELS // 8)),
+}
+"""Type and shape of one row of every decoded array: heights in 0.1 mm above the table, masks packed."""
+
+
+class Sink(Protocol):
+    """Where decoded rows go."""
+
+    def put(self, name: str, start: int, rows: Array) -> None:
+        """Store rows of an array from row ``start`` on. Called from several threads, for rows that do not overlap."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Piece:
+    """Rows of one array of one block, and the row where they begin in the sink."""
+
+    name: str
+    start: int
+    stop: int
+    target: int
+    read: Callable[[str, int, int], Array]
+
+    @property
+    def bytes(self) -> int:
+        return row_bytes(self.name) * (self.stop - self.start)
+
+    def decode(self, sink: Sink) -> int:
+        rows = self.read(self.name, self.start, self.stop)
+        sink.put(self.name, self.target, decode_heights(rows) if rows.dtype == np.uint16 else rows)
+        return self.bytes
+
+
+def row_bytes(name: str) -> int:
+    """Bytes of one decoded row."""
+    dtype, shape = MAP_ARRAYS[name]
+    return int(np.dtype(dtype).itemsize * np.prod(shape))
+
+
+def map_rows(blocks: Sequence[BlockEntry]) -> dict[str, int]:
+    """Rows of every decoded array."""
+    steps = sum(block.steps for block in blocks)
+    maps = sum(block.end_effectors for block in blocks)
+    return {"scene": steps, "ee_depth": maps, "ee_mask": maps}
+
+
+def decode_blocks(
+    release: ReleaseFolder,
+    blocks: Sequence[BlockEntry],
+    sink: Sink,
+    *,
+    jobs: int,
+    progress: Progress | None = None,
+) -> tuple[Index, Categories]:
+    """Decode blocks, one after the other, into ``sink``.
+
+    Parameters
+    ----------
+    release : ReleaseFolder
+    blocks : sequence of BlockEntry
+    sink : Sink
+    jobs : int
+        Threads.
+    progress : callable, optional
+
+    Returns
+    -------
+    index : structured array
+        Of ``INDEX_DTYPE``; its map rows count within the sink.
+    categories : dict of str to list of str
+
+    Raises
+    ------
+    IntegrityError
+        A file is not the one that the manifest names, or cannot be decoded.
+    MissingFileError
+        A file is not there.
+    """
+    wanted = {block.key.path for block in blocks}
+    files = [file for file in release.manifest.files if file.block in wanted]
+    pool = ThreadPoolExecutor(jobs, thread_name_prefix="rema-decode")
+    try:
+        list(pool.map(lambda file: _check(release, file), files))
+        index, categories = _read_index(release, blocks)
+        pieces = list(_pieces(release, blocks))
+        done, total = 0, sum(piece.bytes for piece in pieces)
+        for future in as_completed([pool.submit(piece.decode, sink) for piece in pieces]):
+            done += future.result()
+            if progress is not None:
+                progress(done, total)
+    finally:
+        pool.shutdown(cancel_futures=True)
+    return index, categories
+
+
+def _check(release: ReleaseFolder, entry: FileEntry) -> None:
+    path, name = release.file(entry), release.manifest.name
+    try:
+        with path.open("rb") as file:
+            got = hashlib.file_digest(file, "sha256").hexdigest()
+    except FileNotFoundError:
+        raise MissingFileError(
+            f"file {path} does not exist", hint=f"fetch it again: rema download {name}", path=str(path)
+        ) from None
+    if got != entry.sha256:
+        raise IntegrityError(
+            f"file {path} is not the one that was sealed: its sha256 is {got}, the manifest says {entry.sha256}",
+            hint=f"delete it and fetch it again: rema download {name}; find all damage: rema verify {name}",
+            path=str(path),
+            expected=entry.sha256,
+            got=got,
+        )
+
+
+def _read_index(release: ReleaseFolder, blocks: Sequence[BlockEntry]) -> tuple[Index, Categories]:
+    """Index of the blocks in a row, its map rows moved to where the sink has them."""
+    tables = [release.block(block).steps() for block in blocks]
+    index, categories = encode_steps(tables)
+    start = first_map = 0
+    for block, table in zip(blocks, tables, strict=True):
+        rows = index[start : start + len(table)]
+        for name, count in (("scene_row", block.steps), ("ee_row", block.end_effectors)):
+            if len(table) != block.steps or (len(rows) and not 0 <= rows[name].min() <= rows[name].max() < count):
+                raise _contradiction(release, block, f"{name} of steps.parquet points outside of its {count} rows")
+        rows["scene_row"] += start
+        rows["ee_row"] += first_map
+        start += block.steps
+        first_map += block.end_effectors
+    return index, categories
+
+
+def _pieces(release: ReleaseFolder, blocks: Sequence[BlockEntry]) -> Iterator[_Piece]:
+    offsets = dict.fromkeys(MAP_ARRAYS, 0)
+    for block in blocks:
+        maps = release.block(block).maps()
+        for name, count in map_rows([block]).items():
+            if maps.rows(name) != count:
+                raise _contradiction(release, block, f"{name} has {maps.rows(name)} rows, the manifest says {count}")
+            for start, stop in maps.pieces(name):
+                yield _Piece(name, start, stop, offsets[name] + start, maps.read)
+            offsets[name] += count
+
+
+def _contradiction(release: ReleaseFolder, block: BlockEntry, what: str) -> IntegrityError:
+    folder = release.block(block).folder
+    return IntegrityError(
+        f"block {folder} contradicts itself: {what}",
+        hint=f"find all damage: rema verify {release.manifest.name}",
+        path=str(folder),
+    )

@@ -1,0 +1,58 @@
+"""Episodes back from the store: rows of the tables and maps of the cache as the record that the simulator emitted."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+from rema_data.quantise import unpack_mask
+from rema_data.schema import Episode, Observation, Situation, Step, StepOutcome
+from rema_data.store.tables import action_of, outcome_of, situation_of
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from rema_data.loader.cache import DecodedCache, MapArrays
+
+__all__ = ["observation", "read_episode"]
+
+
+def observation(maps: MapArrays, scene_row: int, ee_row: int) -> Observation:
+    """What was observed, from its rows in the cache."""
+    return Observation(
+        maps.scene[scene_row].astype("uint16"),
+        maps.ee_depth[ee_row].astype("uint16"),
+        unpack_mask(maps.ee_mask[ee_row]),
+    )
+
+
+def read_episode(episodes: pa.Table, steps: pa.Table, position: int, cache: DecodedCache, first: int) -> Episode:
+    """The episode in row ``position`` of a block's tables.
+
+    Parameters
+    ----------
+    episodes, steps : pyarrow.Table
+        Of the block.
+    position : int
+    cache : DecodedCache
+    first : int
+        Row of the block's first step in the cache's index.
+    """
+    (head,) = episodes.slice(position, 1).to_pylist()
+    rows = steps.slice(head["first_step"], head["steps"]).to_pylist()
+    places = cache.index[first + head["first_step"] :][: len(rows)]
+    situations = [situation_of(row) for row in rows]
+    done = []
+    for row, place, situation, following in zip(rows, places, situations, [*situations[1:], None], strict=True):
+        seen = observation(cache.maps, int(place["scene_row"]), int(place["ee_row"]))
+        outcome = _held(outcome_of(row), situation, following)
+        done.append(Step(situation, seen, action_of(row), outcome, row["policy"], row["policy_digest"]))
+    return Episode(head["task"], head["round"], head["split"], head["episode"], head["seed"], tuple(done))
+
+
+def _held(outcome: StepOutcome, situation: Situation, following: Situation | None) -> StepOutcome:
+    """The outcome with what it left in the hand: that is stored with the step that follows."""
+    if following is None:
+        return outcome
+    grip = following.grips[-1] if len(following.grips) > len(situation.grips) else None
+    return dataclasses.replace(outcome, grip=grip, pinch=following.pinch)

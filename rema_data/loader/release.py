@@ -1,0 +1,239 @@
+"""A release as a user opens it: tables, episodes, and datasets for training."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from rema_data.errors import InputError
+from rema_data.loader.cache import DecodedCache, decode_to_memory, open_cache
+from rema_data.loader.decode import Progress
+from rema_data.release.folder import ReleaseFolder, find_release
+from rema_data.release.manifest import BlockEntry, Manifest
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from rema_data.loader.dataset import Delivery, StepDataset
+    from rema_data.schema import Episode
+    from rema_data.store.block import BlockKey
+
+__all__ = ["Release", "Which", "load"]
+
+Which = Literal["last", "all", "picks"]
+
+
+class Release:
+    """A release on this machine; ``load`` makes one.
+
+    Opening reads the manifest only. The blocks are decoded when something of them is first asked for, once per machine.
+
+    Parameters
+    ----------
+    folder : ReleaseFolder
+    cache : path or "memory", optional
+    progress : callable, optional
+        As in ``load``.
+    """
+
+    def __init__(
+        self,
+        folder: ReleaseFolder,
+        cache: str | os.PathLike[str] | None = None,
+        progress: Progress | None = None,
+    ) -> None:
+        self.folder = folder
+        self._cache_option = cache
+        self._progress = progress
+        self._tables: tuple[BlockKey, Any, Any] | None = None
+
+    @property
+    def manifest(self) -> Manifest:
+        """What the release is."""
+        return self.folder.manifest
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return self.manifest.name
+
+    @property
+    def fingerprint(self) -> str:
+        """Its identity: the sha256 of the manifest."""
+        return self.manifest.sha256
+
+    @cached_property
+    def blocks(self) -> tuple[BlockEntry, ...]:
+        """The blocks that were on this machine when they were first asked for."""
+        return self.folder.blocks()
+
+    @cached_property
+    def cache(self) -> DecodedCache:
+        """The decoded blocks; built at the first use.
+
+        Raises
+        ------
+        StorageError
+            The cache folder cannot be written, or is full.
+        IntegrityError, MissingFileError
+            A file of the release is damaged, or gone.
+        """
+        if self._cache_option == "memory":
+            return decode_to_memory(self.folder, self.blocks, self._progress)
+        folder = None if self._cache_option is None else Path(self._cache_option).expanduser()
+        return open_cache(self.folder, self.blocks, folder, self._progress)
+
+    def steps(
+        self,
+        tasks: Iterable[str] | None = None,
+        split: str | None = None,
+        rounds: Iterable[int] | int | None = None,
+        skills: Iterable[str] | None = None,
+        which: Which = "last",
+        maps: Delivery = "quantised",
+    ) -> StepDataset:
+        """A torch dataset of steps.
+
+        Parameters
+        ----------
+        tasks : iterable of str, optional
+            By default all tasks of the release, whether they are on this machine or not.
+        split : str, optional
+            ``train`` or ``val``; by default both.
+        rounds : iterable of int, optional
+            Collection rounds; by default all.
+        skills : iterable of str, optional
+            Keep the steps of these skills only (column ``skill``).
+        which : "last", "all" or "picks"
+            The last step of every episode that reached it, whose success is the task's; every executed step; or the
+            steps before the last, which pick up a tool.
+        maps : "quantised" or "float32"
+            What a batch holds: a ``StepBatch`` or a ``FloatBatch``.
+
+        Raises
+        ------
+        InputError
+            The release has no such task, round, split or skill, or no such step.
+        MissingFileError
+            A block of the selection is not on this machine; the command that fetches it is in the message.
+        StorageError, IntegrityError
+            As for ``cache``.
+        """
+        if which not in ("last", "all", "picks"):
+            raise InputError(f"which={which!r} names no steps", hint="use which='last', 'all' or 'picks'")
+        chosen = self.manifest.select(tasks, [rounds] if isinstance(rounds, int) else rounds, split)
+        self.folder.require(chosen)
+        from rema_data.loader.dataset import StepDataset, identity  # torch is imported here, and not before
+
+        wanted = {block.key for block in chosen}
+        index = self.cache.index
+        keep = np.concatenate([np.full(block.steps, block.key in wanted) for block in self.blocks])
+        if which != "all":
+            keep &= index["last"] == (which == "last")
+        named = None if skills is None else sorted({skills} if isinstance(skills, str) else set(skills))
+        if named is not None:
+            keep &= np.isin(index["skill"], self._skill_codes(named))
+        selected = np.flatnonzero(keep)
+        if not len(selected):
+            raise InputError(
+                f"release {self.name} has no step of this selection", hint="choose other tasks, skills or steps"
+            )
+        selection = {"blocks": sorted(key.path for key in wanted), "skills": named, "which": which}
+        return StepDataset(self.cache, selected, identity(self.fingerprint, selection), maps)
+
+    def _skill_codes(self, names: list[str]) -> list[int]:
+        has = list(self.cache.categories["skill"])
+        unknown = [name for name in names if name not in has]
+        if unknown:
+            raise InputError(
+                f"release {self.name} has no step of the skill {', '.join(unknown)}",
+                hint=f"it has: {', '.join(sorted(has))}",
+            )
+        return [has.index(name) for name in names]
+
+    @cached_property
+    def episodes(self) -> pd.DataFrame:
+        """One row an episode of the local blocks; columns as in ``rema_data.store.columns.EPISODE_COLUMNS``."""
+        return _joined([self.folder.block(block).episodes() for block in self.blocks])
+
+    def to_pandas(self) -> pd.DataFrame:
+        """One row an executed step of the local blocks; columns as in ``rema_data.store.columns.STEP_COLUMNS``."""
+        return _joined([self.folder.block(block).steps() for block in self.blocks])
+
+    def episode(self, round: int, task: str, split: str, index: int) -> Episode:
+        """One episode, with what was observed.
+
+        Raises
+        ------
+        InputError
+            There is no such episode.
+        MissingFileError
+            Its block is not on this machine.
+        """
+        (block,) = self.manifest.select([task], [round], split)
+        self.folder.require([block])
+        if not 0 <= index < block.episodes:
+            raise InputError(
+                f"block {block.key.path} has no episode {index}",
+                hint=f"its episodes are 0 to {block.episodes - 1}",
+                episode=index,
+            )
+        from rema_data.loader.episodes import read_episode
+
+        if self._tables is None or self._tables[0] != block.key:
+            reader = self.folder.block(block)
+            self._tables = (block.key, reader.episodes(), reader.steps())
+        _, episodes, steps = self._tables
+        first = sum(other.steps for other in self.blocks[: self.blocks.index(block)])
+        return read_episode(episodes, steps, index, self.cache, first)
+
+    def __repr__(self) -> str:
+        counts = self.manifest.counts
+        return f"<Release {self.name}: {counts['episodes']:,} episodes, {counts['steps']:,} steps>"
+
+
+def _joined(tables: list[Any]) -> pd.DataFrame:
+    import pyarrow as pa
+
+    frame: pd.DataFrame = pa.concat_tables(tables).to_pandas()
+    return frame
+
+
+def load(
+    name_or_path: str | os.PathLike[str] | None = None,
+    *,
+    cache: str | os.PathLike[str] | None = None,
+    progress: Progress | None = None,
+) -> Release:
+    """Open a release that is on this machine.
+
+    Parameters
+    ----------
+    name_or_path : str or path, optional
+        Name of a published release, or the folder of any; by default the newest published one that is here.
+    cache : path or "memory", optional
+        Folder of decoded caches, by default ``REMA_HOME/decoded``; or "memory", to decode into the memory of this
+        process.
+    progress : callable, optional
+        Called as ``progress(done, total)`` in bytes while the release is decoded.
+
+    Raises
+    ------
+    InputError
+        There is no release of that name.
+    MissingFileError
+        It is not on this machine, or the folder is not that of a release.
+    IntegrityError
+        Its manifest is damaged, or not the published one.
+
+    Examples
+    --------
+    >>> release = rema_data.load("rema-mini")  # doctest: +SKIP
+    >>> dataset = release.steps(tasks=["grasp"], split="train")  # doctest: +SKIP
+    """
+    return Release(find_release(name_or_path), cache, progress)

@@ -1,0 +1,325 @@
+"""Pictures of steps: what was seen, what was done, and what came of it, as a PNG sheet or a page of HTML.
+
+Needs pillow, which belongs to the extra ``report``.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from rema_data import grid
+from rema_data.errors import InputError
+from rema_data.gallery import GalleryStep
+from rema_data.schema import HEIGHT_STEP_M, TASKS, Observation
+from rema_data.storage import write_atomic
+
+if TYPE_CHECKING:
+    from PIL import Image, ImageDraw
+
+__all__ = ["SUFFIXES", "contact_sheet", "describe", "outcome_text", "tile", "write_pictures"]
+
+SUFFIXES = (".png", ".html")
+Pixels = npt.NDArray[np.float32]
+Colour = tuple[int, int, int]
+
+_SCENE, _HAND, _GAP, _MARGIN = 256, 124, 8, 12
+"""Screen pixels of a scene map and of an end-effector map, and what is left between them and around them."""
+_HEAD, _FOOT = 42, 42
+_TILE = (_MARGIN * 2 + _SCENE + _GAP + _HAND, _HEAD + _SCENE + _FOOT)
+_FINE = 2
+"""Drawn so many times larger, then averaged: smooth lines."""
+_PAGE: Colour = (233, 231, 226)
+_PAPER: Colour = (255, 255, 255)
+_INK: Colour = (31, 35, 40)
+_FAINT: Colour = (101, 109, 118)
+_GREEN: Colour = (26, 127, 55)
+_RED: Colour = (180, 35, 24)
+_ORANGE: Colour = (217, 119, 6)
+_BLUE: Colour = (31, 111, 235)
+_GREY: Colour = (140, 149, 159)
+_TABLE: Colour = (246, 244, 239)
+_OBJECT: Colour = (62, 72, 92)
+_TOP_M = 0.05
+"""Height that is drawn darkest."""
+
+
+def describe(row: Mapping[str, Any]) -> tuple[str, str, str, str]:
+    """Where a step comes from, who acted, the action, and the evidence, each in one line."""
+    steps = len(TASKS[row["task"]])
+    x_mm, y_mm, degrees = row["x_m"] * 1000, row["y_m"] * 1000, math.degrees(row["theta_rad"])
+    evidence = f"lifted {row['lift_m'] * 100:.1f} cm"
+    if row["primitive"] == "push":
+        evidence = f"moved {row['displacement_m'] * 100:+.1f} cm in x"
+    if row["peak_force_n"] >= 0.5:
+        evidence += f", {row['peak_force_n']:.0f} N"
+    return (
+        f"{row['task']}, step {row['step'] + 1} of {steps}",
+        f"round {row['round']} {row['split']}, episode {row['episode']}, {row['policy']}",
+        f"i {row['i']}, j {row['j']}, k {row['k']}: x {x_mm:+.0f} mm, y {y_mm:+.0f} mm, {degrees:g} degrees",
+        f"{evidence}, {row['sim_steps']} simulation steps",
+    )
+
+
+def outcome_text(row: Mapping[str, Any]) -> str:
+    """``success``, or the failure label in words."""
+    return "success" if row["success"] else str(row["failure"]).replace("_", " ")
+
+
+def tile(step: GalleryStep) -> Image.Image:
+    """One step: scene map with the action, end-effector maps, and captions.
+
+    Raises
+    ------
+    InputError
+        pillow is not installed.
+    """
+    image_module, draw_module = _pillow()
+    row = step.row
+    image: Image.Image = image_module.new("RGB", _TILE, _PAPER)
+    image.paste(_scene(step), (_MARGIN, _HEAD))
+    for state in range(2):
+        panel = _end_effector(step.observation, state)
+        image.paste(panel, (_MARGIN + _SCENE + _GAP, _HEAD + state * (_HAND + _GAP)))
+    draw = draw_module.Draw(image)
+    colour = _GREEN if row["success"] else _RED
+    draw.rectangle((0, 0, _TILE[0], 3), fill=colour)
+    place, who, action, evidence = describe(row)
+    _write(draw, (_MARGIN, 6), place, 14, _INK)
+    _write(draw, (_MARGIN, 23), who, 11, _FAINT)
+    _write(draw, (_TILE[0] - _MARGIN, 6), outcome_text(row), 14, colour, "ra")
+    _write(draw, (_MARGIN, _HEAD + _SCENE + 6), action, 11, _INK)
+    _write(draw, (_MARGIN, _HEAD + _SCENE + 21), evidence, 11, _FAINT)
+    return image
+
+
+def contact_sheet(steps: Sequence[GalleryStep], title: str, columns: int = 3) -> Image.Image:
+    """Several steps in one picture.
+
+    Parameters
+    ----------
+    steps : sequence of GalleryStep
+    title : str
+    columns : int
+        Steps side by side.
+
+    Raises
+    ------
+    InputError
+        pillow is not installed, or there are no steps.
+    """
+    image_module, draw_module = _pillow()
+    if not steps:
+        raise InputError("there are no steps to draw", hint="choose some that exist")
+    columns = max(1, min(columns, len(steps)))
+    rows = -(-len(steps) // columns)
+    top = 40
+    size = columns * (_TILE[0] + _MARGIN) + _MARGIN, top + rows * (_TILE[1] + _MARGIN) + _HEAD
+    sheet: Image.Image = image_module.new("RGB", size, _PAGE)
+    draw = draw_module.Draw(sheet)
+    _write(draw, (_MARGIN, 12), title, 16, _INK)
+    for number, step in enumerate(steps):
+        row, column = divmod(number, columns)
+        sheet.paste(tile(step), (_MARGIN + column * (_TILE[0] + _MARGIN), top + row * (_TILE[1] + _MARGIN)))
+    _legend(draw, (_MARGIN, size[1] - 26))
+    return sheet
+
+
+def write_pictures(steps: Sequence[GalleryStep], path: Path, title: str, columns: int = 3) -> None:
+    """Write a contact sheet (``.png``), or a page that needs no other file (``.html``).
+
+    Raises
+    ------
+    InputError
+        pillow is not installed, or the file has another suffix.
+    StorageError
+        The file cannot be written.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(
+            f"{path} is neither a PNG nor an HTML file",
+            hint=f"write --output {path.with_suffix('.png')}",
+            path=str(path),
+        )
+    if suffix == ".png":
+        write_atomic(path, _png(contact_sheet(steps, title, columns)))
+    else:
+        write_atomic(path, _page(steps, title))
+
+
+def _pillow() -> tuple[Any, Any]:
+    try:
+        from PIL import Image, ImageDraw
+    except ImportError as error:
+        raise InputError(
+            f"pictures need {error.name}, which is not installed", hint='pip install "rema[report]"'
+        ) from error
+    return Image, ImageDraw
+
+
+def _scene(step: GalleryStep) -> Image.Image:
+    """The scene map, x to the right and y up, with the end effector at the place of the action."""
+    image_module, draw_module = _pillow()
+    size = _SCENE * _FINE
+    step_m = 2 * grid.SCENE_HALF_M / size
+    across = (np.arange(size) + 0.5) * step_m - grid.SCENE_HALF_M
+    x, y = across[None, :], -across[:, None]
+    colours = _shade(step.observation.scene, _pixel(x, y, grid.SCENE_PIXELS))
+    ax, ay, yaw = (step.row[name] for name in ("x_m", "y_m", "theta_rad"))
+    u = math.cos(yaw) * (x - ax) + math.sin(yaw) * (y - ay)
+    v = -math.sin(yaw) * (x - ax) + math.cos(yaw) * (y - ay)
+    place = _pixel(u, v, grid.EE_PIXELS)
+    body, allowed = step.observation.depth[0][place] > 0, step.observation.mask[0][place]
+    inside = (abs(u) < grid.EE_HALF_M) & (abs(v) < grid.EE_HALF_M)
+    colours = _tint(colours, inside & body & ~allowed, _GREY, 0.45)
+    colours = _tint(colours, inside & allowed, _BLUE, 0.45)
+    image: Image.Image = image_module.fromarray(colours.astype(np.uint8))
+    draw = draw_module.Draw(image)
+
+    def at(x_m: float, y_m: float) -> tuple[float, float]:
+        return (x_m + grid.SCENE_HALF_M) / step_m, (grid.SCENE_HALF_M - y_m) / step_m
+
+    edge = grid.SCENE_HALF_M - grid.VALID_MARGIN * grid.PIXEL_M
+    draw.rectangle((*at(-edge, edge), *at(edge, -edge)), outline=(205, 199, 189), width=_FINE)
+    if step.row["primitive"] == "push":
+        _arrow(draw, at(ax, ay), at(grid.SCENE_HALF_M - 0.004, ay), _INK, 1.4)
+    _arrow(draw, at(ax, ay), at(ax + 0.04 * math.cos(yaw), ay + 0.04 * math.sin(yaw)), _ORANGE, 2.2)
+    _dot(draw, at(ax, ay), 3.4, _ORANGE)
+    draw.rectangle((0, 0, size - 1, size - 1), outline=_GREY, width=_FINE)
+    return image.resize((_SCENE, _SCENE), image_module.Resampling.BOX)
+
+
+def _end_effector(observation: Observation, state: int) -> Image.Image:
+    """One state of the end-effector map at yaw 0: grey bodies, blue where they may touch the target."""
+    image_module, draw_module = _pillow()
+    zoom = _zoom(observation.depth)
+    size = _HAND * _FINE
+    across = ((np.arange(size) + 0.5) / size * 2 - 1) * grid.EE_HALF_M / zoom
+    place = _pixel(across[None, :], -across[:, None], grid.EE_PIXELS)
+    colours = _tint(_shade(observation.depth[state], place), observation.mask[state][place], _BLUE, 0.65)
+    image: Image.Image = image_module.fromarray(colours.astype(np.uint8))
+    draw_module.Draw(image).rectangle((0, 0, size - 1, size - 1), outline=_GREY, width=_FINE)
+    image = image.resize((_HAND, _HAND), image_module.Resampling.BOX)
+    enlarged = f", {zoom} x" if zoom > 1 else ""
+    _write(draw_module.Draw(image), (5, 3), f"state {state + 1}{enlarged}", 10, _FAINT)
+    return image
+
+
+def _zoom(depth: npt.NDArray[np.uint16]) -> int:
+    """How much both states can be enlarged about their middle so that every body stays in the picture."""
+    _, rows, columns = np.nonzero(depth)
+    half = grid.EE_PIXELS // 2
+    reach = max((abs(2 * index + 1 - 2 * half).max() + 1) // 2 for index in (rows, columns)) if len(rows) else half
+    return next(zoom for zoom in (4, 2, 1) if zoom == 1 or reach * zoom <= 0.9 * half)
+
+
+def _pixel(x_m: npt.NDArray[Any], y_m: npt.NDArray[Any], pixels: int) -> tuple[Any, Any]:
+    """Row and column of the map pixel at a place, clipped to the map."""
+    row, column = (
+        np.clip(np.floor(value / grid.PIXEL_M + pixels / 2).astype(int), 0, pixels - 1) for value in (y_m, x_m)
+    )
+    return row, column
+
+
+def _shade(heights: npt.NDArray[np.uint16], place: tuple[Any, Any]) -> Pixels:
+    share = np.clip(heights.astype(np.float32) * np.float32(HEIGHT_STEP_M / _TOP_M), 0, 1)[place][..., None]
+    shaded: Pixels = (1 - share) * np.array(_TABLE, np.float32) + share * np.array(_OBJECT, np.float32)
+    return shaded
+
+
+def _tint(colours: Pixels, where: npt.NDArray[np.bool_], colour: Colour, share: float) -> Pixels:
+    tinted: Pixels = np.where(where[..., None], (1 - share) * colours + share * np.array(colour, np.float32), colours)
+    return tinted
+
+
+def _arrow(
+    draw: ImageDraw.ImageDraw, start: tuple[float, float], end: tuple[float, float], colour: Colour, width: float
+) -> None:
+    """An arrow with a white rim."""
+    (x, y), (ex, ey) = start, end
+    length = math.hypot(ex - x, ey - y)
+    if length < 1:
+        return
+    head = min(4.2 * width * _FINE, length)
+    dx, dy = (ex - x) / length, (ey - y) / length
+    neck = (ex - dx * head, ey - dy * head)
+    for rim, paint in ((1.3, _PAPER), (0.0, colour)):
+        wide = (width + 2 * rim) * _FINE
+        draw.line((*start, *neck), fill=paint, width=round(wide))
+        side = head * 0.45 + rim * _FINE
+        tip = (ex + dx * rim * 2 * _FINE, ey + dy * rim * 2 * _FINE)
+        back = (neck[0] - dx * rim * _FINE, neck[1] - dy * rim * _FINE)
+        draw.polygon(
+            [tip, (back[0] - dy * side, back[1] + dx * side), (back[0] + dy * side, back[1] - dx * side)], fill=paint
+        )
+
+
+def _dot(draw: ImageDraw.ImageDraw, centre: tuple[float, float], radius: float, colour: Colour) -> None:
+    x, y = centre
+    for reach, paint in (((radius + 1.2) * _FINE, _PAPER), (radius * _FINE, colour)):
+        draw.ellipse((x - reach, y - reach, x + reach, y + reach), fill=paint)
+
+
+def _write(
+    draw: ImageDraw.ImageDraw, place: tuple[float, float], text: str, size: float, colour: Colour, anchor: str = "la"
+) -> None:
+    from PIL import ImageFont
+
+    draw.text(place, text, fill=colour, font=ImageFont.load_default(size), anchor=anchor)
+
+
+_LEGEND: tuple[tuple[Colour, str], ...] = (
+    (_ORANGE, "the action: place and yaw"),
+    (_INK, "the way of a push"),
+    (_BLUE, "may touch the target"),
+    (_GREY, "may not"),
+    (_OBJECT, "the target; darker is higher"),
+)
+
+
+def _legend(draw: ImageDraw.ImageDraw, place: tuple[float, float]) -> None:
+    from PIL import ImageFont
+
+    x, y = place
+    font = ImageFont.load_default(11)
+    for colour, text in _LEGEND:
+        draw.rectangle((x, y, x + 11, y + 11), fill=colour)
+        draw.text((x + 17, y - 1), text, fill=_INK, font=font)
+        x += 40 + draw.textlength(text, font=font)
+
+
+def _png(image: Image.Image) -> bytes:
+    buffer = io.BytesIO()
+    image.save(buffer, "PNG", optimize=True)
+    return buffer.getvalue()
+
+
+def _page(steps: Iterable[GalleryStep], title: str) -> str:
+    """HTML with every picture inside it."""
+    figures = []
+    for step in steps:
+        data = base64.b64encode(_png(tile(step))).decode()
+        words = html.escape(", ".join((*describe(step.row)[:2], outcome_text(step.row))))
+        size = f'width="{_TILE[0]}" height="{_TILE[1]}"'
+        figures.append(f'<img {size} alt="{words}" title="{words}" src="data:image/png;base64,{data}">')
+    keys = " ".join(f'<i style="background:rgb{colour}"></i>{html.escape(text)}' for colour, text in _LEGEND)
+    style = (
+        f"body{{font:15px system-ui,sans-serif;background:rgb{_PAGE};color:rgb{_INK};margin:24px}}"
+        "main{display:flex;flex-wrap:wrap;gap:12px}h1{font-size:20px}p{font-size:13px}"
+        "i{display:inline-block;width:11px;height:11px;margin:0 6px 0 18px}i:first-child{margin-left:0}"
+    )
+    return (
+        f'<!DOCTYPE html>\n<html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>\n'
+        f"<style>{style}</style>\n<h1>{html.escape(title)}</h1>\n<p>{keys}</p>\n<main>\n"
+        + "\n".join(figures)
+        + "\n</main></html>\n"
+    )

@@ -1,0 +1,108 @@
+"""What a sampler does to the data, said plainly: shares, repeats, weights, and a warning where rows repeat a lot."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+from rema_data.samplers.shares import Shares
+from rema_data.samplers.strata import Strata, label_text
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["SamplerReport", "StratumReport", "make_report"]
+
+
+@dataclass(frozen=True, slots=True)
+class StratumReport:
+    """One stratum.
+
+    Attributes
+    ----------
+    stratum : str
+        ``task=grasp, success=True``.
+    rows : int
+    natural : float
+        Share of the rows.
+    target : float
+        Share of the draws.
+    draws : float
+        Expected number.
+    repeats : float
+        Draws of every row.
+    weight : float
+        Natural over target share: the importance weight that makes a loss unbiased again.
+    """
+
+    stratum: str
+    rows: int
+    natural: float
+    target: float
+    draws: float
+    repeats: float
+    weight: float
+
+
+@dataclass(frozen=True, slots=True)
+class SamplerReport:
+    """All strata; printing it gives a table.
+
+    Attributes
+    ----------
+    strata : tuple of StratumReport
+    draws : int
+        Over all ranks.
+    warnings : tuple of str
+        One for every stratum that is drawn more often than by nature, and whose rows repeat more than the limit.
+    """
+
+    strata: tuple[StratumReport, ...]
+    draws: int
+    warnings: tuple[str, ...]
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row a stratum."""
+        import pandas as pd
+
+        return pd.DataFrame([asdict(row) for row in self.strata])
+
+    def __str__(self) -> str:
+        header = ("stratum", "rows", "natural", "target", "draws", "repeats", "weight")
+        cells = [
+            (
+                row.stratum,
+                f"{row.rows:,}",
+                f"{row.natural:.2%}",
+                f"{row.target:.2%}",
+                f"{row.draws:,.0f}",
+                f"{row.repeats:.2f}",
+                f"{row.weight:.3g}",
+            )
+            for row in self.strata
+        ]
+        widths = [max(map(len, column)) for column in zip(header, *cells, strict=True)]
+        lines = [
+            "  ".join(
+                cell.rjust(width) if place else cell.ljust(width)
+                for place, (cell, width) in enumerate(zip(line, widths, strict=True))
+            )
+            for line in [header, *cells]
+        ]
+        return "\n".join([f"{self.draws:,} draws", *lines, *(f"warning: {text}" for text in self.warnings)])
+
+
+def make_report(strata: Strata, shares: Shares, draws: int, repeat_limit: float) -> SamplerReport:
+    """Report on so many draws with these shares."""
+    rows = []
+    for label, size, share in zip(strata.labels, strata.sizes.tolist(), shares.tolist(), strict=True):
+        natural, expected = size / len(strata.codes), share * draws
+        text = label_text(strata.by, label)
+        rows.append(StratumReport(text, size, natural, share, expected, expected / size, natural / share))
+    warnings = tuple(
+        f"each of the {row.rows:,} rows of {row.stratum} is drawn {row.repeats:.0f} times; "
+        "augment, lower target towards 1 (natural), or weight the loss"
+        for row in rows
+        if row.repeats > repeat_limit and row.weight < 1
+    )
+    return SamplerReport(tuple(rows), draws, warnings)

@@ -1,0 +1,339 @@
+"""From a plan to a sealed release, in a light world: what is stored, what is kept, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from filelock import FileLock
+
+from baselines.rounds.play import draw_placements
+from baselines.rounds.work import work_path
+from rema_data.errors import (
+    InfrastructureError,
+    InputError,
+    IntegrityError,
+    MissingFileError,
+    PolicyFailureError,
+    RunMismatchError,
+    SubmissionError,
+)
+from rema_data.release.folder import ReleaseFolder, find_release
+from rema_data.schema import TASKS
+from rema_data.store.block import BlockKey
+from rema_data.store.tables import outcome_of, situation_of
+from rema_data.testing import make_release
+from tests.baselines.rounds.fakes import collect_fake, tree, write_plan
+from tests.evaluator.fakes import FakePolicyProcess, FakeSimulator, fake_backend, fake_observe
+
+pytestmark = pytest.mark.usefixtures("quick_fingerprint")
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> ReleaseFolder:
+    """The release of the plan, collected once."""
+    folder = tmp_path_factory.mktemp("finished")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("baselines.rounds.collect.call_in_child", lambda target: {"pybullet": "0"})
+        return collect_fake(write_plan(folder), folder).release
+
+
+def rows(release: ReleaseFolder, key: BlockKey) -> list[dict[str, Any]]:
+    (entry,) = [block for block in release.manifest.blocks if block.key == key]
+    found: list[dict[str, Any]] = release.block(entry).steps().to_pylist()
+    return found
+
+
+def test_the_release_is_what_the_plan_says(finished: ReleaseFolder) -> None:
+    manifest = finished.manifest
+    assert [(block.key.path, block.episodes) for block in manifest.blocks] == [
+        ("round-1/grasp/train", 23),
+        ("round-1/grasp/val", 4),
+        ("round-1/grasp_grasp/train", 23),
+        ("round-1/grasp_grasp/val", 4),
+        ("round-2/grasp_grasp_push/train", 11),
+    ]
+    assert manifest.blocks[2].policies == ("reference", "reference", "random")
+    assert (manifest.title, manifest.fingerprint) == ("Tiny", {"pybullet": "0"})
+    assert find_release(finished.path).manifest.sha256 == manifest.sha256
+    assert not work_path(finished.root, "tiny").exists()
+
+
+def test_steps_follow_from_each_other(finished: ReleaseFolder) -> None:
+    """Every stored step is what the world does with its situation and action, and starts where the last one ended."""
+    simulator = FakeSimulator()
+    for entry in finished.manifest.blocks:
+        block = finished.block(entry)
+        steps, maps = block.steps().to_pylist(), block.maps()
+        depth = maps.read("ee_depth", 0, maps.rows("ee_depth"))
+        for episode in block.episodes().to_pylist():
+            own = steps[episode["first_step"] :][: episode["steps"]]
+            placements = draw_placements(7, entry.key, episode["episode"])
+            grips: tuple[Any, ...] = ()
+            pinch = None
+            for number, row in enumerate(own):
+                situation = situation_of(row)
+                assert (row["step"], situation.grips, situation.pinch) == (number, grips, pinch)
+                assert situation.target == placements[number]
+                outcome = simulator.run(situation, row["action"])
+                assert outcome_of(row).success == outcome.success == (row["failure"] is None)
+                assert np.array_equal(depth[row["ee_row"]], fake_observe(situation).depth + 100)
+                grips = grips if outcome.grip is None else (*grips, outcome.grip)
+                pinch = outcome.pinch
+            assert episode["success"] == (len(own) == len(TASKS[entry.task]) and own[-1]["success"])
+            assert all(row["success"] for row in own[:-1])
+            assert own[-1]["last"] or not own[-1]["success"]
+
+
+def test_rounds_and_splits_have_scenes_of_their_own() -> None:
+    drawn = {
+        draw_placements(7, BlockKey(round_, "grasp", split), index)
+        for round_ in (1, 2)
+        for split in ("train", "val")
+        for index in range(20)
+    }
+    assert len(drawn) == 80
+
+
+@pytest.mark.parametrize(
+    "options", [{"engine": "process", "workers": 1}, {"engine": "process", "workers": 3}], ids=["one", "three"]
+)
+def test_the_bytes_do_not_depend_on_the_workers(
+    tmp_path: Path, finished: ReleaseFolder, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("baselines.rounds.collect.call_in_child", lambda target: {"pybullet": "0"})
+    again = collect_fake(write_plan(tmp_path), tmp_path, **options).release
+    assert tree(again.path) == tree(finished.path)
+
+
+def test_the_data_do_not_depend_on_the_size_of_a_chunk(
+    tmp_path: Path, finished: ReleaseFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("baselines.rounds.collect.call_in_child", lambda target: {"pybullet": "0"})
+    again = collect_fake(write_plan(tmp_path), tmp_path, chunk_episodes=100).release
+    changed = {name for name, sha256 in tree(again.path).items() if tree(finished.path)[name] != sha256}
+    assert not any(name.startswith("round-") for name in changed)
+
+
+def test_a_sealed_plan_is_not_collected_again(tmp_path: Path) -> None:
+    plan = write_plan(tmp_path)
+    first = collect_fake(plan, tmp_path)
+    before = tree(first.release.path)
+    work_path(tmp_path, "tiny").mkdir()  # killed after the release had its name
+    second = collect_fake(plan, tmp_path, backend=fake_backend(open_policy=None))
+    assert (first.already, second.already) == (False, True)
+    assert second.release.manifest.sha256 == first.release.manifest.sha256
+    assert tree(first.release.path) == before and not work_path(tmp_path, "tiny").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [("seed = 7", "seed = 8"), ("Nobody", "Somebody"), ("train = 11", "train = 12")]
+)
+def test_a_sealed_release_belongs_to_one_plan(tmp_path: Path, old: str, new: str) -> None:
+    collect_fake(write_plan(tmp_path), tmp_path)
+    with pytest.raises(RunMismatchError, match="made by another plan"):
+        collect_fake(write_plan(tmp_path, **{old: new}), tmp_path)
+
+
+def test_a_folder_of_that_name_is_not_written_to(tmp_path: Path) -> None:
+    (tmp_path / "tiny").mkdir()
+    with pytest.raises(RunMismatchError, match="is no sealed release"):
+        collect_fake(write_plan(tmp_path), tmp_path)
+    assert list((tmp_path / "tiny").iterdir()) == []
+
+
+class Stopper(FakePolicyProcess):
+    """Presses Ctrl-C in the middle of an answer."""
+
+    def __init__(self, after: int) -> None:
+        super().__init__()
+        self.left = after
+
+    def act(self, batch: Any, situations: Any) -> list[Any]:
+        self.left -= 1
+        if self.left < 0:
+            raise KeyboardInterrupt
+        return super().act(batch, situations)
+
+
+def interrupted(plan: Path, output: Path, after: int, **backend: Any) -> Path:
+    with pytest.raises(KeyboardInterrupt):
+        collect_fake(plan, output, backend=fake_backend(Stopper(after), **backend))
+    return work_path(output, "tiny")
+
+
+@pytest.mark.parametrize("after", [0, 1, 6, 15, 30])
+def test_an_interrupted_collection_goes_on(
+    tmp_path: Path, finished: ReleaseFolder, after: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("baselines.rounds.collect.call_in_child", lambda target: {"pybullet": "0"})
+    plan = write_plan(tmp_path)
+    work = interrupted(plan, tmp_path, after)
+    kept = len(list((work / "chunks").glob("*.npz")))
+    assert (kept > 0) == (after > 6)
+    asked = FakePolicyProcess()
+    again = collect_fake(plan, tmp_path, backend=fake_backend(asked)).release
+    assert tree(again.path) == tree(finished.path)
+    total = sum(block.steps for block in again.manifest.blocks)
+    assert asked.asked < total if kept else asked.asked == total
+
+
+def damage_file(work: Path) -> None:
+    path = sorted((work / "chunks").glob("*.npz"))[0]
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+
+
+def lose_file(work: Path) -> None:
+    sorted((work / "chunks").glob("*.npz"))[0].unlink()
+
+
+def tear_log(work: Path) -> None:
+    path = work / "log" / "log-0001.jsonl"
+    path.write_bytes(path.read_bytes()[:-20])
+
+
+def forget_log(work: Path) -> None:
+    (work / "log" / "log-0001.jsonl").unlink()
+
+
+def leave_litter(work: Path) -> None:
+    (work / "chunks" / ".round-1-grasp-train-0000000.npz.abc").write_bytes(b"half")
+    (work / "sealing" / "round-1" / "grasp").mkdir(parents=True)
+    (work / "sealing" / "round-1" / "grasp" / "episodes.parquet").write_bytes(b"half")
+
+
+@pytest.mark.parametrize("harm", [damage_file, lose_file, tear_log, forget_log, leave_litter])
+def test_only_what_the_log_vouches_for_is_kept(
+    tmp_path: Path, finished: ReleaseFolder, harm: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("baselines.rounds.collect.call_in_child", lambda target: {"pybullet": "0"})
+    plan = write_plan(tmp_path)
+    harm(interrupted(plan, tmp_path, 15))
+    assert tree(collect_fake(plan, tmp_path).release.path) == tree(finished.path)
+
+
+def test_a_damaged_line_of_the_log_is_an_error(tmp_path: Path) -> None:
+    plan = write_plan(tmp_path)
+    path = interrupted(plan, tmp_path, 15) / "log" / "log-0001.jsonl"
+    path.write_bytes(path.read_bytes().replace(b"chunk", b"chonk", 1))
+    with pytest.raises(IntegrityError, match="line 1 is damaged"):
+        collect_fake(plan, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "backend", "field"),
+    [
+        ({"seed = 7": "seed = 8"}, {}, "seed"),
+        ({"train = 11": "train = 12"}, {}, "blocks"),
+        ({}, {"digest": "e"}, "blocks"),
+        ({}, {"observation_hash": "other code"}, "code"),
+    ],
+)
+def test_chunks_of_another_plan_are_not_mixed(
+    tmp_path: Path, changes: dict[str, str], backend: dict[str, Any], field: str
+) -> None:
+    work = interrupted(write_plan(tmp_path), tmp_path, 15)
+    before = tree(work)
+    with pytest.raises(RunMismatchError, match=f"they differ in {field}"):
+        collect_fake(write_plan(tmp_path, **changes), tmp_path, backend=fake_backend(**backend))
+    assert tree(work) == before
+
+
+def test_a_text_may_change_until_the_release_is_sealed(tmp_path: Path) -> None:
+    interrupted(write_plan(tmp_path), tmp_path, 15)
+    done = collect_fake(write_plan(tmp_path, Nobody="Somebody"), tmp_path)
+    assert done.release.manifest.citation == "Somebody."
+
+
+def test_two_collectors_do_not_share_a_folder(tmp_path: Path) -> None:
+    work = work_path(tmp_path, "tiny")
+    work.mkdir()
+    with FileLock(work / ".lock"), pytest.raises(InputError, match="another process"):
+        collect_fake(write_plan(tmp_path), tmp_path)
+
+
+def test_a_policy_that_gives_no_action_is_named(tmp_path: Path) -> None:
+    with pytest.raises(
+        PolicyFailureError, match=r"policy random .* round-1/grasp/train: exception: ValueError"
+    ) as caught:
+        collect_fake(write_plan(tmp_path), tmp_path, backend=fake_backend(FakePolicyProcess(faulty=1.0)))
+    assert caught.value.facts["episode"] == 0
+
+
+def test_a_policy_that_cannot_be_loaded_is_known_at_once(tmp_path: Path) -> None:
+    @contextmanager
+    def broken(spec: Any, *_: Any) -> Any:
+        if spec.name == "scripted":  # it plays in the second round only
+            raise SubmissionError("policy scripted cannot be used", hint="mend it")
+        yield FakePolicyProcess()
+
+    with pytest.raises(SubmissionError):
+        collect_fake(write_plan(tmp_path), tmp_path, backend=fake_backend(open_policy=broken))
+    assert not (work_path(tmp_path, "tiny") / "chunks").exists()
+
+
+def test_a_lost_episode_stops_the_collection_and_a_second_run_finishes_it(
+    tmp_path: Path, finished: ReleaseFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("baselines.rounds.collect.call_in_child", lambda target: {"pybullet": "0"})
+    block = BlockKey(1, "grasp", "train")
+    placement = draw_placements(7, block, 20)[0]
+    number = round(placement.x_m / 1e-5)
+    monkeypatch.setenv("REMA_FAKE", json.dumps({"raise": [number]}))
+    plan = write_plan(tmp_path)
+    with pytest.raises(InfrastructureError, match="step 0 of episode 20 of round-1/grasp/train was lost"):
+        collect_fake(plan, tmp_path)
+    assert (work_path(tmp_path, "tiny") / "chunks").exists()
+    monkeypatch.delenv("REMA_FAKE")
+    assert tree(collect_fake(plan, tmp_path).release.path) == tree(finished.path)
+
+
+CHILD = """
+name = "tiny-child"
+title = "Tiny child"
+description = "For tests."
+license = "CC-BY-4.0"
+citation = "Nobody."
+seed = 7
+parent = "tiny-parent"
+[[rounds]]
+reuse = true
+[[rounds]]
+policy = "scripted"
+episodes = { train = 6 }
+tasks = ["push"]
+"""
+
+
+def test_a_round_of_the_parent_is_reused(tmp_path: Path) -> None:
+    parent = make_release(tmp_path, "tiny-parent", tasks=("grasp",), episodes=5)
+    before = tree(parent.path)
+    done = collect_fake(write_plan(tmp_path, CHILD), tmp_path).release
+    holders = [(block.key.path, block.holder) for block in done.manifest.blocks]
+    assert holders == [
+        ("round-1/grasp/train", "tiny-parent"),
+        ("round-1/grasp/val", "tiny-parent"),
+        ("round-2/push/train", "tiny-child"),
+    ]
+    assert done.manifest.parent is not None and done.manifest.parent.sha256 == parent.manifest.sha256
+    assert len(done.blocks()) == 3 and tree(parent.path) == before
+
+
+def test_a_parent_that_cannot_be_used_is_refused(tmp_path: Path) -> None:
+    make_release(tmp_path, "tiny-parent", tasks=("grasp",), episodes=5)
+    plan = write_plan(tmp_path, CHILD)
+    with pytest.raises(InputError, match="lie in tiny-parent, which is not in"):
+        collect_fake(plan, tmp_path / "elsewhere")
+    with pytest.raises(InputError, match="has no round 2"):
+        text = CHILD.replace("reuse = true\n", "reuse = true\n[[rounds]]\nreuse = true\n")
+        collect_fake(write_plan(tmp_path, text), tmp_path)
+    shutil.rmtree(tmp_path / "tiny-parent")
+    with pytest.raises((InputError, MissingFileError), match="tiny-parent"):
+        collect_fake(write_plan(tmp_path, CHILD), tmp_path)

@@ -1,0 +1,133 @@
+"""Plans: what they mean, and what is said about those that mean nothing."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from baselines.rounds.plan import load_plan
+from rema_data.errors import InputError, MissingFileError, RemaError
+from rema_data.store.block import BlockKey
+from tests.baselines.rounds.fakes import PLAN, write_plan
+
+ROOT = Path(__file__).parents[3]
+
+
+def test_a_plan_is_a_list_of_blocks(tmp_path: Path) -> None:
+    plan = load_plan(write_plan(tmp_path))
+    assert [(block.key.path, block.episodes) for block in plan.blocks] == [
+        ("round-1/grasp/train", 23),
+        ("round-1/grasp/val", 4),
+        ("round-1/grasp_grasp/train", 23),
+        ("round-1/grasp_grasp/val", 4),
+        ("round-2/grasp_grasp_push/train", 11),
+    ]
+    names = [tuple(use.spec.name for use in block.policies) for block in plan.blocks]
+    assert names[0] == ("random",)
+    assert names[2] == ("reference", "reference", "random")
+    assert names[4] == ("reference", "reference", "reference", "scripted")
+    assert (plan.about.name, plan.seed, plan.parent, plan.reused) == ("tiny", 7, None, ())
+
+
+def test_a_task_can_have_its_own_values(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("")
+    (tmp_path / "weights").write_bytes(b"1")
+    tasks = """
+    [rounds.tasks]
+    grasp = { policy = { code = "mine.py:Mine", checkpoint = "weights", device = "cuda:0" } }
+    push = { episodes = { val = 2 } }
+    """
+    head, _, _ = PLAN.rpartition("[[rounds]]")
+    plan = load_plan(write_plan(tmp_path, head.replace('tasks = ["grasp", "grasp_grasp"]', tasks)))
+    counts = {block.key: block.episodes for block in plan.blocks}
+    assert counts == {
+        BlockKey(1, "grasp", "train"): 23,
+        BlockKey(1, "grasp", "val"): 4,
+        BlockKey(1, "push", "val"): 2,
+    }
+    (mine,) = plan.blocks[0].policies
+    assert (mine.spec.path, mine.spec.class_name) == ((tmp_path / "mine.py").resolve(), "Mine")
+    assert (mine.checkpoint, mine.device) == ((tmp_path / "weights").resolve(), "cuda:0")
+    assert plan.blocks[-1].policies[0].spec.name == "random"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        ('name = "tiny"', 'name = "../tiny"', "name"),
+        ('title = "Tiny"', "", "title"),
+        ('license = "CC-BY-4.0"', 'license = ""', "license"),
+        ("seed = 7", "seed = -1", "seed"),
+        ("seed = 7", "seed = true", "seed"),
+        ("seed = 7", 'seed = 7\nsources = "http://here"', "sources"),
+        ("seed = 7", "seed = 7\ncolour = 1", "colour"),
+        ('policy = "random"', "", "rounds[1].tasks.grasp.policy"),
+        ('policy = "random"', 'policy = "rnadom"', "rounds[1].tasks.grasp.policy"),
+        ('policy = "random"', "policy = 3", "rounds[1].tasks.grasp.policy"),
+        ('policy = "random"', 'policy = { code = "random", weights = "w" }', "rounds[1].tasks.grasp.policy.weights"),
+        ('policy = "random"', 'policy = "gone.py"', "rounds[1].tasks.grasp.policy"),
+        ('policy = "random"', 'policy = { code = "random", checkpoint = "gone" }', "rounds[1].tasks.grasp.policy"),
+        ('policy = "random"\npicks = "reference"', 'policy = "random"', "rounds[1].tasks.grasp_grasp.picks"),
+        ("episodes = { train = 23, val = 4 }", "", "rounds[1].tasks.grasp.episodes"),
+        ("{ train = 23, val = 4 }", "{}", "rounds[1].tasks.grasp.episodes"),
+        ("{ train = 23, val = 4 }", "{ train = 0 }", "rounds[1].tasks.grasp.episodes.train"),
+        ("{ train = 23, val = 4 }", "{ train = 2.5 }", "rounds[1].tasks.grasp.episodes.train"),
+        ("{ train = 23, val = 4 }", "{ test = 4 }", "rounds[1].tasks.grasp.episodes.test"),
+        ('["grasp", "grasp_grasp"]', '["grasp", "throw"]', "rounds[1].tasks"),
+        ('["grasp", "grasp_grasp"]', '["grasp", "grasp"]', "rounds[1].tasks"),
+        ('["grasp", "grasp_grasp"]', "[]", "rounds[1].tasks"),
+        ('["grasp", "grasp_grasp"]', "{ grasp = 3 }", "rounds[1].tasks"),
+        ('["grasp", "grasp_grasp"]', '["grasp"]\nspeed = 2', "rounds[1].speed"),
+        ('tasks = ["grasp_grasp_push"]', "", "rounds[2].tasks"),
+        ('policy = "scripted"', "reuse = true", "rounds[2].picks"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path: Path, old: str, new: str, key: str) -> None:
+    path = write_plan(tmp_path, **{old: new + "\n"})
+    with pytest.raises((InputError, MissingFileError)) as caught:
+        load_plan(path)
+    assert caught.value.facts["key"] == key
+    assert str(path) in caught.value.message and key in caught.value.message
+    assert caught.value.hint
+
+
+def test_reuse_needs_a_parent_and_something_to_collect(tmp_path: Path) -> None:
+    head = PLAN[: PLAN.index("[[rounds]]")]
+    with pytest.raises(InputError, match=r"rounds\[1\].reuse has no parent"):
+        load_plan(write_plan(tmp_path, head + "[[rounds]]\nreuse = true\n"))
+    with pytest.raises(InputError, match="rounds collect nothing"):
+        load_plan(write_plan(tmp_path, 'parent = "older"\n' + head + "[[rounds]]\nreuse = true\n"))
+    with pytest.raises(InputError, match=r"rounds\[1\].reuse is 1"):
+        load_plan(write_plan(tmp_path, 'parent = "older"\n' + head + "[[rounds]]\nreuse = 1\n"))
+
+
+def test_a_file_that_is_no_plan(tmp_path: Path) -> None:
+    with pytest.raises(MissingFileError, match="no plan"):
+        load_plan(tmp_path / "gone.toml")
+    with pytest.raises(InputError, match="is a folder"):
+        load_plan(tmp_path)
+    for content in (b"name = ", b"\xff\xfe\x00", b"[[rounds]\n"):
+        (tmp_path / "bad.toml").write_bytes(content)
+        with pytest.raises(InputError, match="is not TOML"):
+            load_plan(tmp_path / "bad.toml")
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.integers(0, len(PLAN)), st.integers(0, 30), st.text(alphabet='[]{}="\n a1.,', max_size=8))
+def test_no_edit_makes_a_plan_raise_anything_else(tmp_path: Path, at: int, cut: int, text: str) -> None:
+    (tmp_path / "edited.toml").write_text(PLAN[:at] + text + PLAN[at + cut :])
+    with suppress(RemaError):
+        plan = load_plan(tmp_path / "edited.toml")
+        assert plan.blocks and all(block.episodes > 0 for block in plan.blocks)
+
+
+@pytest.mark.parametrize("name", ["examples/collect_plan.toml", *map(str, (ROOT / "manifests/plans").glob("*.toml"))])
+def test_the_plans_that_come_with_rema(name: str) -> None:
+    plan = load_plan(ROOT / name)
+    assert plan.about.license == "CC-BY-4.0"
+    assert len({block.key for block in plan.blocks}) == len(plan.blocks)
+    assert "\n" not in plan.about.description
