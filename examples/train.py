@@ -12,10 +12,10 @@ from __future__ import annotations
 import argparse
 
 import torch
-from rema_data.augment import translate
 from torch import nn
 
 import rema_data
+from rema_data.augment import translate
 from rema_data.grid import ANGLES
 
 

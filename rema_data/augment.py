@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
@@ -206,8 +206,9 @@ def mirror(
     flip = torch.as_tensor(chosen, device=action.device).expand_as(action) & ~(two & (k == 0))
     angle = torch.where(two, ANGLES // 2 - k, -k) % ANGLES
     label = torch.where(flip, _encode(SCENE_PIXELS - 1 - i, j, angle), action)
-    image = torch.where(_like(flip, scene), scene.flip(-2), scene)
-    return image, label, [_mirrored(planes, flip & ~two, flip & two) for planes in maps]
+    one_hand, two_hands = (flip & ~two).nonzero()[:, 0], (flip & two).nonzero()[:, 0]
+    mirrored = [_replaced(_replaced(planes, one_hand, _upside_down), two_hands, _left_to_right) for planes in maps]
+    return _replaced(scene, flip.nonzero()[:, 0], _upside_down), label, mirrored
 
 
 class Augment:
@@ -323,10 +324,10 @@ def _axis(offset: Tensor, device: torch.device) -> Tensor:
 
 
 def _sample(scene: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
-    """Every pixel from its source, 0 where that is outside; sources are int64 and broadcast to (N, 64, 64)."""
+    """Every pixel from its source, 0 where that is outside; sources are whole numbers and broadcast to (N, 64, 64)."""
     last = SCENE_PIXELS - 1
     inside = (rows >= 0) & (rows <= last) & (columns >= 0) & (columns <= last)
-    source = rows.clamp(0, last) * SCENE_PIXELS + columns.clamp(0, last)
+    source = (rows.clamp(0, last) * SCENE_PIXELS + columns.clamp(0, last)).long()
     pixels = scene.reshape(len(scene), -1).gather(1, source.reshape(len(scene), -1))
     return (pixels * inside.reshape(len(scene), -1).to(pixels.dtype)).view(scene.shape)
 
@@ -335,28 +336,30 @@ def _turned(scene: Tensor, action: Tensor, turns: Tensor) -> tuple[Tensor, Tenso
     i, j, k = _decode(action)
     step = turns % ANGLES
     cosine, sine = (
-        torch.tensor(table, dtype=torch.float64, device=action.device)[step] for table in (_COSINES, _SINES)
+        torch.tensor(table, dtype=torch.float32, device=action.device)[step] for table in (_COSINES, _SINES)
     )
     x, y = j - _CENTRE, i - _CENTRE
     column = (cosine * x - sine * y + _CENTRE).round().long().clamp(_FIRST, _LAST)
     row = (sine * x + cosine * y + _CENTRE).round().long().clamp(_FIRST, _LAST)
     dy, dx = _axis(-row, scene.device)[:, :, None], _axis(-column, scene.device)[:, None, :]
     cosine, sine = cosine[:, None, None], sine[:, None, None]
-    source_rows = (cosine * dy - sine * dx).round().long() + i[:, None, None]
-    source_columns = (cosine * dx + sine * dy).round().long() + j[:, None, None]
+    source_rows = (cosine * dy - sine * dx).round_() + i[:, None, None]
+    source_columns = (cosine * dx + sine * dy).round_() + j[:, None, None]
     return _sample(scene, source_rows, source_columns), _encode(row, column, (k + turns) % ANGLES)
 
 
-def _like(chosen: Tensor, tensor: Tensor) -> Tensor:
-    return chosen.view(-1, *[1] * (tensor.dim() - 1))
+def _replaced(planes: Tensor, rows: Tensor, change: Callable[[Tensor], Tensor]) -> Tensor:
+    """The tensor with some of its rows changed."""
+    if not len(rows):
+        return planes
+    return planes.index_copy(0, rows, change(planes.index_select(0, rows)))
 
 
-def _mirrored(planes: Tensor, upside_down: Tensor, left_to_right: Tensor) -> Tensor:
-    image = torch.where(_like(upside_down, planes), planes.flip(-2), planes)
-    return torch.where(_like(left_to_right, planes), _columns_flipped(planes), image)
+def _upside_down(planes: Tensor) -> Tensor:
+    return planes.flip(-2)
 
 
-def _columns_flipped(planes: Tensor) -> Tensor:
+def _left_to_right(planes: Tensor) -> Tensor:
     flipped = planes.flip(-1)
     if planes.shape[-1] != _PACKED:
         return flipped

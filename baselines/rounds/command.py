@@ -82,7 +82,7 @@ def _policies(block: BlockPlan) -> list[str]:
 def _print_expected(name: str, expected: Sequence[Estimate], as_json: bool) -> None:
     totals = {
         "episodes": sum(entry.block.episodes for entry in expected),
-        "seconds": round(sum(entry.seconds for entry in expected), 1),
+        "seconds": round(sum(entry.seconds for entry in expected), 3),
         "bytes": sum(entry.bytes for entry in expected),
     }
     if not as_json:
@@ -93,7 +93,7 @@ def _print_expected(name: str, expected: Sequence[Estimate], as_json: bool) -> N
             **entry.block.key._asdict(),
             "episodes": entry.block.episodes,
             "policies": _policies(entry.block),
-            "seconds": round(entry.seconds, 1),
+            "seconds": round(entry.seconds, 3),
             "bytes": entry.bytes,
         }
         for entry in expected
@@ -106,11 +106,18 @@ def _print_table(name: str, expected: Sequence[Estimate], totals: dict[str, Any]
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=f"{name}: not collected", title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
-    for column in ("round", "task", "split", "policy", "picks"):
-        table.add_column(column)
-    for column in ("episodes", "time", "size"):
-        table.add_column(column, justify="right")
+    table = Table(
+        title=f"{name}: not collected",
+        title_justify="left",
+        title_style="bold",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+        padding=(0, 1, 0, 0),
+    )
+    for column in ("round", "task", "split", "policy", "picks", "episodes", "time", "size"):
+        right = column in ("episodes", "time", "size")
+        names = column in ("policy", "picks")
+        table.add_column(column, justify="right" if right else "left", no_wrap=not names, overflow="fold")
     for entry in expected:
         block = entry.block
         *picks, last = _policies(block)

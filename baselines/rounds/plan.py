@@ -7,6 +7,7 @@
     description = "..."
     license = "CC-BY-4.0"
     citation = "..."
+    published = "2030-01-31"                    # optional: the day
     seed = 1
     sources = []                                # optional: URLs from which people may fetch it
     parent = "my-older-release"                 # optional: a release on this machine
@@ -35,6 +36,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +51,7 @@ __all__ = ["BlockPlan", "CollectionPlan", "PolicyUse", "load_plan"]
 
 _MAX_EPISODES = 2**31 - 1
 _TEXTS = ("name", "title", "description", "license", "citation")
-_TOP = (*_TEXTS, "seed", "sources", "parent", "rounds")
+_TOP = (*_TEXTS, "published", "seed", "sources", "parent", "rounds")
 _DEFAULTS = ("policy", "picks", "episodes")
 
 
@@ -167,7 +169,7 @@ class _Reader:
                 blocks += self._round(number, entry)
         if not blocks:
             raise self._wrong("rounds", "collect nothing", "give at least one round without `reuse`")
-        about = Description(**texts, sources=tuple(sources))
+        about = Description(**texts, sources=tuple(sources), published=self._day(content.get("published", "")))
         return CollectionPlan(self._path, about, seed, tuple(blocks), tuple(reused), parent)
 
     def _reuses(self, number: int, entry: dict[str, Any], parent: str | None) -> bool:
@@ -258,6 +260,12 @@ class _Reader:
         if not isinstance(value, str) or not value.strip():
             raise self._wrong(key, f"is {value!r}, not a text", "write it in quotes")
         return value.strip()
+
+    def _day(self, value: Any) -> str:
+        try:
+            return "" if value == "" else date.fromisoformat(self._text("published", value)).isoformat()
+        except ValueError:
+            raise self._wrong("published", f"is {value!r}, not a day", 'write published = "2030-01-31"') from None
 
     def _whole(self, key: str, value: Any, low: int, high: int) -> int:
         if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:

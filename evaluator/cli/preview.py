@@ -50,12 +50,13 @@ def preview(ctx: click.Context, /, index: int | None, **options: Any) -> None:
     Of a scenario: the maps, the action, and the world before and after it. With --protocol end-to-end the policy does
     every step, and the picture shows the step at which the episode ended.
     """
-    foreign, other = (_OF_SCENARIOS, "--scenario") if index is None else (_OF_RELEASES, "--release")
+    foreign = _OF_SCENARIOS if index is None else _OF_RELEASES
     for name in foreign:
         if options[name] not in (None, ()):
             flag = next(parameter.opts[0] for parameter in ctx.command.params if parameter.name == name)
-            hint = "add --scenario N" if index is None else "drop --scenario, or this option"
-            raise InputError(f"{flag} belongs to {other}", hint=hint)
+            if index is None:
+                raise InputError(f"{flag} is for scenarios", hint="add --scenario N")
+            raise InputError(f"{flag} is for releases", hint=f"drop --scenario or {flag}")
     mine = {name: value for name, value in options.items() if name not in foreign}
     if index is None:
         _preview_release(**mine)
@@ -120,7 +121,7 @@ def _print_table(steps: Sequence[GalleryStep], title: str) -> None:
     from rema_data.pictures import outcome_text
 
     table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in ("step", "round, split, episode", "policy", "i,j,k", "cm", "outcome"):
+    for column in ("step", "episode", "policy", "i,j,k", "cm", "outcome"):
         table.add_column(column, justify="right" if column == "cm" else "left", overflow="fold")
     for row in (step.row for step in steps):
         push = row["primitive"] == "push"

@@ -14,9 +14,7 @@
         rema                     what robomimic does not know: attributes with the version and the options
             manifest             bytes of the release's manifest
             card                 its other files
-            round-1/grasp/train
-                steps            an array a column of steps.parquet; an episode begins at its attribute first_step
-                schema           of both tables, as Arrow writes it
+            round-1/grasp/train  an array a column of steps.parquet; an episode begins at its attribute first_step
 
 An import takes the maps from ``obs``, the columns of an episode from the attributes of its demo, and the columns of its
 steps from ``rema``. The rest follows from these.

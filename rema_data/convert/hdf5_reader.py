@@ -24,7 +24,7 @@ from rema_data.grid import EE_PIXELS, SCENE_PIXELS
 from rema_data.release.manifest import Manifest, parse_manifest
 from rema_data.schema import SCHEMA_VERSION
 from rema_data.store.block import BlockKey, EncodedMaps
-from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, Column, arrow_schema
+from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, arrow_schema
 from rema_data.store.tables import episodes_table
 
 __all__ = ["SUFFIXES", "expand", "open_source"]
@@ -46,8 +46,10 @@ def expand(sources: Sequence[Path]) -> list[Path]:
     Raises
     ------
     MissingFileError
-        A folder holds none.
+        A folder holds none, or nothing was named.
     """
+    if not sources:
+        raise MissingFileError("no file to import was named", hint="name the folder that `rema export` wrote")
     paths: list[Path] = []
     for source in sources:
         found = [path for path in sorted(source.iterdir()) if path.suffix in SUFFIXES] if source.is_dir() else [source]
@@ -222,7 +224,7 @@ class _File:
             local += count
         ee_row = np.arange(local, dtype=np.int32)
         maps = EncodedMaps(np.concatenate(scenes), ee_row, np.concatenate(depths), np.concatenate(masks))
-        return Piece(columns.episodes(rows), columns.table.take(np.concatenate(chosen)), maps)
+        return Piece(episodes_table(rows), columns.table.take(np.concatenate(chosen)), maps)
 
     def _obs(self, demo: h5py.Group, name: str, kind: str, count: int) -> Array:
         dataset = demo[f"obs/{kind}"]
@@ -250,18 +252,13 @@ class _File:
 
 
 class _Columns:
-    """The tables of a block: columns of the steps, and what follows from them."""
+    """The columns of a block's steps, and what follows from them."""
 
     def __init__(self, group: h5py.Group) -> None:
-        self._schema = _schema(group, "episodes", EPISODE_COLUMNS)
-        arrays = [from_array(group[f"steps/{column.name}"][()], column) for column in STEP_COLUMNS]
-        self.table = pa.Table.from_arrays(arrays, schema=_schema(group, "steps", STEP_COLUMNS))
+        arrays = [from_array(group[column.name][()], column) for column in STEP_COLUMNS]
+        self.table = pa.Table.from_arrays(arrays, schema=arrow_schema(STEP_COLUMNS))
         self.trajectory = trajectory(self.table)
         self._episode, self._step = (self.table[name].to_numpy() for name in ("episode", "step"))
-
-    def episodes(self, rows: Sequence[Row]) -> pa.Table:
-        """Rows of episodes as a table."""
-        return pa.Table.from_arrays(episodes_table(rows).columns, schema=self._schema)
 
     def hold(self, rows: Array, episode: int) -> bool:
         """Whether these rows are the steps of this episode."""
@@ -269,11 +266,3 @@ class _Columns:
         return bool(
             inside and (self._episode[rows] == episode).all() and (self._step[rows] == np.arange(len(rows))).all()
         )
-
-
-def _schema(group: h5py.Group, name: str, columns: tuple[Column, ...]) -> pa.Schema:
-    """Schema of a table as it was exported, which may word its metadata otherwise than this version of rema."""
-    schema = pa.ipc.read_schema(pa.BufferReader(group[f"schema/{name}"][()].tobytes()))
-    if not schema.equals(arrow_schema(columns)):
-        raise ValueError(f"the table of {name} has other columns")
-    return schema

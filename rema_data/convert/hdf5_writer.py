@@ -93,7 +93,7 @@ class _Writer:
             _write_bytes(card, str(number), plan.release.file(file).read_bytes()).attrs["path"] = file.path
         for block in blocks:
             reader = plan.release.block(block)
-            _write_tables(_group(rema, block.key.path), reader)
+            _write_columns(_group(rema, block.key.path), reader)
             first_step = 0
             for piece in read_pieces(reader):
                 self._write_piece(piece, first_step)
@@ -158,15 +158,12 @@ def _write_obs(demo: h5py.Group, group: str, name: str, obs: Array) -> None:
     _group(demo, group).create_dataset(name, data=obs, chunks=chunks, compression="gzip", compression_opts=_GZIP_LEVEL)
 
 
-def _write_tables(group: h5py.Group, reader: BlockReader) -> None:
-    """Columns of the steps, and the schemas of both tables: their metadata are part of the bytes of Parquet files."""
+def _write_columns(group: h5py.Group, reader: BlockReader) -> None:
     steps = reader.steps()
-    for name, table in (("episodes", reader.episodes()), ("steps", steps)):
-        _write_bytes(_group(group, "schema"), name, table.schema.serialize().to_pybytes())
     for column in STEP_COLUMNS:
         array = to_array(steps[column.name], column)
         packed = {"compression": "gzip", "shuffle": True} if len(array) else {}
-        dataset = _group(group, "steps").create_dataset(column.name, data=array, **packed)
+        dataset = group.create_dataset(column.name, data=array, **packed)
         notes = {"meaning": column.meaning, "unit": column.unit, "frame": column.frame}
         dataset.attrs.update({key: text for key, text in notes.items() if text})
 

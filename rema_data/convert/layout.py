@@ -16,7 +16,7 @@ import pyarrow.compute as pc
 from rema_data.convert.base import Maps
 from rema_data.errors import InputError, IntegrityError
 from rema_data.grid import SCENE_HALF_M
-from rema_data.quantise import MISSING, dequantise, pack_mask, quantise, unpack_mask
+from rema_data.quantise import dequantise, pack_mask, quantise, unpack_mask
 from rema_data.store.columns import Column
 
 __all__ = [
@@ -32,6 +32,7 @@ __all__ = [
 
 Array = npt.NDArray[Any]
 _STRINGS = "S"
+_HIGHEST = np.iinfo(np.int16).max
 
 
 def obs_dtype(maps: Maps) -> str:
@@ -53,11 +54,10 @@ def obs_of_end_effectors(depth: Array, mask: Array, maps: Maps) -> Array:
 
 
 def _stored_heights(obs: Array) -> Array:
-    if obs.dtype == np.uint16:
-        if (obs == MISSING).any():
-            raise InputError("a height is missing (65535)", hint="mend the map")
-        return np.ascontiguousarray(obs)
-    return np.ascontiguousarray(quantise(obs))
+    stored = np.ascontiguousarray(obs if obs.dtype == np.uint16 else quantise(obs))
+    if stored.size and stored.max() > _HIGHEST:
+        raise InputError("a height is missing, or above what a reader accepts (3.26 m)", hint="mend the map")
+    return stored
 
 
 def stored_scenes(obs: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
@@ -39,6 +40,10 @@ class Batch:
                 raise IndexError(f"step {which} is outside of the batch, which has {len(self)}")
             which = slice(which, which + 1 or None)
         return self._map(lambda tensor: tensor[which])
+
+    def replace(self, **tensors: Tensor) -> Self:
+        """The batch with some fields replaced, as after an augmentation."""
+        return dataclasses.replace(self, **tensors)  # type: ignore[type-var]
 
     def to(self, device: torch.device | str, non_blocking: bool = False) -> Self:
         """The batch on another device."""
@@ -103,6 +108,10 @@ class FloatBatch(Batch):
     action: Tensor
     success: Tensor
     index: Tensor
+
+    def float(self) -> FloatBatch:
+        """The batch itself, so that a training loop takes both kinds."""
+        return self
 
 
 def _collate(batch: Any, *, collate_fn_map: Mapping[Any, Any] | None = None) -> Any:

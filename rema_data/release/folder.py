@@ -6,12 +6,16 @@ import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rema_data.errors import InputError, MissingFileError
 from rema_data.release.manifest import MANIFEST, BlockEntry, FileEntry, Manifest, parse_manifest
 from rema_data.release.registry import load_published, newest, published
 from rema_data.storage import rema_home
-from rema_data.store.block import BlockKey, BlockReader
+from rema_data.store.keys import BlockKey
+
+if TYPE_CHECKING:
+    from rema_data.store.block import BlockReader
 
 __all__ = ["ReleaseFolder", "downloads_folder", "find_release", "local_sources"]
 
@@ -48,6 +52,8 @@ class ReleaseFolder:
 
     def block(self, entry: BlockEntry) -> BlockReader:
         """Reader of a block."""
+        from rema_data.store.block import BlockReader
+
         return BlockReader(self.root / entry.holder / entry.key.path)
 
     def blocks(self) -> tuple[BlockEntry, ...]:

@@ -19,7 +19,7 @@ from typing import Any
 from rema_data.errors import InputError, IntegrityError, RemaError
 from rema_data.quantise import HEIGHT_ERROR_M, HEIGHT_OFFSET_M, MISSING
 from rema_data.schema import HEIGHT_STEP_M, SCHEMA_VERSION, TASKS
-from rema_data.store.block import BlockKey
+from rema_data.store.keys import BlockKey
 
 __all__ = ["FORMAT", "MANIFEST", "BlockEntry", "FileEntry", "Manifest", "Parent", "check_name", "parse_manifest"]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, Literal
@@ -12,14 +11,16 @@ import numpy as np
 import numpy.typing as npt
 
 from rema_data.errors import InputError
+from rema_data.samplers.arguments import one_of, rank_and_world, refuse_mixed_splits, whole
+from rema_data.samplers.epochs import Epoch, EpochShape, Tail, cut_epoch, draws_of_epoch
 from rema_data.samplers.passes import ResumableOrder
-from rema_data.samplers.plans import EpochShape, ExactPlan, LotteryPlan, Plan
+from rema_data.samplers.plans import ExactPlan, LotteryPlan, Plan
 from rema_data.samplers.report import SamplerReport, make_report
 from rema_data.samplers.shares import Target, target_shares
-from rema_data.samplers.strata import column_of, describe_label, label_text, stratify, table_of
+from rema_data.samplers.strata import describe_label, label_text, stratify, table_of
 from rema_data.samplers.walks import Cycle, Independent, Replacement, Walk, bits, shuffled, stream_key
 
-__all__ = ["BalancedSampler", "FlatSampler", "rank_and_world"]
+__all__ = ["BalancedSampler", "FlatSampler"]
 
 Batch = npt.NDArray[np.int64]
 """Rows of the table, int64 (batch_size,)."""
@@ -27,9 +28,6 @@ STATE_VERSION = 1
 BLOCK = 2**15
 """Draws that are prepared at a time."""
 _WALKS, _SHUFFLES, _LOTTERY = range(3)  # purposes of the random streams
-
-Tail = Literal["drop", "pad", "short"]
-Epoch = Literal["rows", "minority_once", "majority_once"] | int
 
 
 class BalancedSampler(ResumableOrder[Batch]):
@@ -107,18 +105,18 @@ class BalancedSampler(ResumableOrder[Batch]):
         across_splits: bool = False,
     ) -> None:
         super().__init__()
-        _choose("mode", mode, ("exact", "average"))
-        _choose("replacement", replacement, ("cycle", True, False))
-        _choose("tail", tail, ("drop", "pad", "short"))
-        _choose("on_empty", on_empty, ("raise", "renormalise"))
-        self.batch_size = _whole("batch_size", batch_size, 1)
-        self.seed = _whole("seed", seed, 0)
+        one_of("mode", mode, ("exact", "average"))
+        one_of("replacement", replacement, ("cycle", True, False))
+        one_of("tail", tail, ("drop", "pad", "short"))
+        one_of("on_empty", on_empty, ("raise", "renormalise"))
+        self.batch_size = whole("batch_size", batch_size, 1)
+        self.seed = whole("seed", seed, 0)
         self.rank, self.world_size = rank_and_world(rank, world_size)
         self.global_batch = self.batch_size * self.world_size
         self.mode, self.replacement, self.tail = mode, replacement, tail
         columns = table_of(table)
         if not across_splits:
-            _refuse_mixed_splits(columns)
+            refuse_mixed_splits(columns)
         self.strata = stratify(columns, (by,) if isinstance(by, str) else by, on_empty)
         self._identity = getattr(table, "fingerprint", None)
         self._target = target
@@ -152,9 +150,9 @@ class BalancedSampler(ResumableOrder[Batch]):
 
     def _lay_out(self, shares: npt.NDArray[np.float64], epoch: Epoch) -> tuple[EpochShape, Plan]:
         """How long an epoch is, and the plan of its batches."""
-        draws = self._draws_of(epoch, shares)
+        draws = draws_of_epoch(epoch, self.strata.sizes, shares)
         while True:
-            shape = self._cut(draws)
+            shape = cut_epoch(draws, self.global_batch, self.tail, self.world_size)
             if self.mode == "average":
                 return shape, LotteryPlan(shares, shape, stream_key(self.seed, _LOTTERY))
             plan = ExactPlan(shares, shape, alike=self.replacement is False)
@@ -182,35 +180,6 @@ class BalancedSampler(ResumableOrder[Batch]):
             # rounding gave the scarcest stratum a draw too many
             least = 1 if self.tail == "short" else self.global_batch
             draws = shape.draws - max(least, math.ceil(max(missing / plan.shares)))
-
-    def _draws_of(self, epoch: Epoch, shares: npt.NDArray[np.float64]) -> int:
-        sizes = self.strata.sizes
-        if isinstance(epoch, str):
-            _choose("epoch", epoch, ("rows", "minority_once", "majority_once"))
-            needed = sizes / shares
-            draws = {"minority_once": np.floor(needed.min() + 1e-6), "majority_once": np.ceil(needed.max() - 1e-6)}
-            return int(draws.get(epoch, sizes.sum()))
-        return _whole("epoch", epoch, 1)
-
-    def _cut(self, draws: int) -> EpochShape:
-        whole, rest = divmod(draws, self.global_batch)
-        if self.tail == "pad":
-            whole, rest = whole + (rest > 0), 0
-        if self.tail == "drop":
-            rest = 0
-        if whole + (rest > 0) < 1:
-            raise InputError(
-                f"an epoch of {draws} draws does not fill one batch of {self.global_batch}",
-                hint='use a smaller batch, tail="pad" or "short", or a longer epoch (num_samples=...)',
-                draws=draws,
-            )
-        if 0 < rest < self.world_size:
-            raise InputError(
-                f"the last batch of an epoch has {rest} rows for {self.world_size} ranks",
-                hint='use tail="drop" or "pad", or another num_samples',
-                rest=rest,
-            )
-        return EpochShape(self.global_batch, whole, rest)
 
     def __len__(self) -> int:
         """Batches in an epoch, the same on every rank."""
@@ -357,7 +326,7 @@ class BalancedSampler(ResumableOrder[Batch]):
         repeat_limit : float
             Repeats of a row above which the report warns.
         """
-        total = self.shape.draws if draws is None else _whole("draws", draws, 0)
+        total = self.shape.draws if draws is None else whole("draws", draws, 0)
         return make_report(self.strata, self._plan.shares, total, repeat_limit)
 
     def importance_weights(self, rows: npt.ArrayLike) -> npt.NDArray[np.float32]:
@@ -372,7 +341,8 @@ class FlatSampler(ResumableOrder[int]):
     """Rows of a ``BalancedSampler`` one by one, as Python integers.
 
     Batches cut from it are those of the sampler where the loader's ``batch_size`` is the sampler's. It keeps its own
-    place; a state can be taken and loaded at any row.
+    place; a state can be taken and loaded at any row (``consumed`` counts rows). A state that is taken between batches
+    fits both.
 
     Parameters
     ----------
@@ -406,49 +376,3 @@ class FlatSampler(ResumableOrder[int]):
     def _unpack(self, state: dict[str, Any]) -> tuple[int, int]:
         epoch, batch, row = self._batches._position(state)
         return epoch, min(batch * self._batches.batch_size + row, len(self))
-
-
-def rank_and_world(rank: int | None, world_size: int | None) -> tuple[int, int]:
-    """Rank and world size: as given, else of ``torch.distributed`` where it is in use, else 0 and 1.
-
-    Raises
-    ------
-    InputError
-        Only one of them is given, or the rank is outside of the world.
-    """
-    if rank is None and world_size is None:
-        distributed = sys.modules.get("torch.distributed")  # whoever uses it has imported it
-        if distributed is not None and distributed.is_available() and distributed.is_initialized():
-            return distributed.get_rank(), distributed.get_world_size()
-        return 0, 1
-    if rank is None or world_size is None:
-        raise InputError("rank and world_size belong together", hint="give both, or none")
-    world_size = _whole("world_size", world_size, 1)
-    if _whole("rank", rank, 0) >= world_size:
-        raise InputError(f"rank {rank} is outside of a world of {world_size}", hint="ranks count from 0")
-    return int(rank), world_size
-
-
-def _whole(name: str, value: Any, least: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        raise InputError(
-            f"{name}={value!r} is not a whole number from {least} up", hint=f"give {name} as such a number"
-        )
-    return int(value)
-
-
-def _choose(name: str, value: Any, choices: Sequence[Any]) -> None:
-    if not any(value is choice or (isinstance(choice, str) and value == choice) for choice in choices):
-        raise InputError(f"{name}={value!r} is unknown", hint=f"use one of {', '.join(map(repr, choices))}")
-
-
-def _refuse_mixed_splits(table: Any) -> None:
-    if "split" not in table:
-        return
-    splits = sorted(map(str, column_of(table, "split").unique().tolist()))
-    if len(splits) > 1:
-        raise InputError(
-            f"the table mixes the splits {', '.join(splits)}: what is learned from cannot be validated on",
-            hint='select one, for example release.steps(split="train"), or pass across_splits=True',
-            splits=tuple(splits),
-        )

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rema_data.errors import InputError
-from rema_data.samplers.balanced import rank_and_world
+from rema_data.samplers.arguments import rank_and_world, whole
 from rema_data.samplers.strata import column_of, table_of
 
 __all__ = ["EvaluationSampler"]
@@ -39,9 +39,7 @@ class EvaluationSampler:
     def __init__(
         self, table: Any, batch_size: int = 256, *, rank: int | None = None, world_size: int | None = None
     ) -> None:
-        if isinstance(batch_size, bool) or batch_size < 1:
-            raise InputError(f"batch_size={batch_size!r} is not a whole number from 1 up", hint="give such a number")
-        self.batch_size = int(batch_size)
+        self.batch_size = whole("batch_size", batch_size, 1)
         self.rank, self.world_size = rank_and_world(rank, world_size)
         rows = _length(table)
         self.start, self.stop = (rows * part // self.world_size for part in (self.rank, self.rank + 1))

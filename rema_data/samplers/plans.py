@@ -6,17 +6,17 @@ A plan numbers batches and draws over the whole training, so that any position c
 from __future__ import annotations
 
 import bisect
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from rema_data.samplers.epochs import EpochShape
 from rema_data.samplers.shares import Shares, as_fractions
 from rema_data.samplers.walks import Key, bits, unit_interval
 
-__all__ = ["Anchor", "EpochShape", "ExactPlan", "LotteryPlan", "Plan", "Quotas"]
+__all__ = ["Anchor", "ExactPlan", "LotteryPlan", "Plan", "Quotas"]
 
 Counts = npt.NDArray[np.int64]
 """Draws of every stratum, int64 (strata,)."""
@@ -26,39 +26,6 @@ LONGEST_PERIOD = 4096
 """Batches after which shares that are no simple fractions come out even."""
 REPLAY = 2**18
 """Draws of a lottery that are replayed at a time."""
-
-
-@dataclass(frozen=True, slots=True)
-class EpochShape:
-    """How an epoch is cut into global batches.
-
-    Attributes
-    ----------
-    batch : int
-        Draws in a batch, over all ranks.
-    whole : int
-        Batches of that size.
-    rest : int
-        Draws in one more, shorter batch; 0 where there is none.
-    """
-
-    batch: int
-    whole: int
-    rest: int
-
-    @property
-    def batches(self) -> int:
-        """Batches in an epoch."""
-        return self.whole + (self.rest > 0)
-
-    @property
-    def draws(self) -> int:
-        """Draws in an epoch."""
-        return self.whole * self.batch + self.rest
-
-    def drawn(self, epoch: int, batch: int) -> int:
-        """Draws since the start of training, before a batch of an epoch."""
-        return epoch * self.draws + min(batch * self.batch, self.draws)
 
 
 class Plan(Protocol):

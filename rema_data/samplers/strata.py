@@ -188,7 +188,8 @@ def _factorise(column: pd.Series[Any], name: str) -> Column:
         raise InputError(
             f"column {name!r} has missing values", hint="drop those rows, or fill them in, before sampling", column=name
         )
-    if pd.api.types.is_bool_dtype(column.dtype) or all(isinstance(value, bool) for value in values):
+    if pd.api.types.is_bool_dtype(column.dtype) or _are_truths(values):
+        values = [bool(value) for value in values]
         values += [value for value in (False, True) if value not in values]
         occurs = np.ones(len(values), bool)  # both count, whether or not they occur
     wanted = np.flatnonzero(occurs)
@@ -201,9 +202,13 @@ def _factorise(column: pd.Series[Any], name: str) -> Column:
     return place[codes], [values[code] for code in ranking]
 
 
+def _are_truths(values: Sequence[Any]) -> bool:
+    return all(isinstance(value, bool) for value in values)  # 0 and 1 are numbers
+
+
 def _implied(counts: npt.NDArray[np.int64], values: Sequence[Sequence[Any]]) -> npt.NDArray[np.int64]:
     """Combinations that should have rows: those that occur, with every truth value; flat numbers, ascending."""
-    truths = tuple(axis for axis, column in enumerate(values) if list(column) == [False, True])
+    truths = tuple(axis for axis, column in enumerate(values) if _are_truths(column))
     occurs = counts.sum(axis=truths, keepdims=True) > 0
     return np.flatnonzero(np.broadcast_to(occurs, counts.shape))
 

@@ -16,55 +16,24 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from rema_data.errors import InputError
 from rema_data.quantise import encode_heights, pack_mask
-from rema_data.schema import TASKS, Episode, Observation
+from rema_data.schema import Episode, Observation
 from rema_data.storage import write_atomic
 from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS
+from rema_data.store.keys import SPLITS, BlockKey
 from rema_data.store.maps import MapsReader, MapsWriter
 from rema_data.store.tables import episode_row, episodes_table, read_table, step_row, steps_table, to_parquet
 
 __all__ = ["EPISODES", "SPLITS", "STEPS", "BlockKey", "BlockReader", "BlockWriter", "EncodedMaps", "encode_episodes"]
 
 EPISODES, STEPS = "episodes.parquet", "steps.parquet"
-SPLITS = ("train", "val")
 Array = npt.NDArray[Any]
-
-
-class BlockKey(NamedTuple):
-    """Which block: collection round (from 1), task, and split."""
-
-    round: int
-    task: str
-    split: str
-
-    @property
-    def path(self) -> str:
-        """Folder of the block inside its release."""
-        return f"round-{self.round}/{self.task}/{self.split}"
-
-    @classmethod
-    def parse(cls, path: str) -> BlockKey:
-        """Inverse of ``path``.
-
-        Raises
-        ------
-        InputError
-            It names no block.
-        """
-        head, _, rest = path.partition("/")
-        task, _, split = rest.partition("/")
-        number = head.removeprefix("round-")
-        key = cls(int(number), task, split) if number.isdecimal() and number.isascii() else None
-        if key is None or key.path != path or task not in TASKS or split not in SPLITS or key.round < 1:
-            raise InputError(f"{path!r} names no block", hint="write it as round-1/grasp/train", path=path)
-        return key
 
 
 @dataclass(frozen=True, slots=True, eq=False)

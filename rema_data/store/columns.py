@@ -123,10 +123,6 @@ STEP_COLUMNS: tuple[Column, ...] = (
 
 
 def arrow_schema(columns: tuple[Column, ...]) -> pa.Schema:
-    """Arrow schema of a table, with unit, frame and meaning of every column in its metadata."""
-    fields = []
-    for column in columns:
-        notes = {"meaning": column.meaning, "unit": column.unit, "frame": column.frame}
-        kind = pa.type_for_alias(column.type)
-        fields.append(pa.field(column.name, kind, column.nullable, {k: v for k, v in notes.items() if v}))
+    """Arrow schema of a table."""
+    fields = [pa.field(column.name, pa.type_for_alias(column.type), column.nullable) for column in columns]
     return pa.schema(fields, {"rema.schema_version": str(SCHEMA_VERSION)})

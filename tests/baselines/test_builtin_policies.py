@@ -1,4 +1,4 @@
-"""The random and the scripted baseline, and the example of the README."""
+"""The random, the scripted and the reference policy, and the example of the README."""
 
 from __future__ import annotations
 
@@ -11,11 +11,18 @@ import pytest
 from scipy.stats import chisquare
 
 from baselines.random_policy import RandomPolicy
+from baselines.reference_policy import ReferencePolicy
 from baselines.scripted_policy import ScriptedPolicy, nearest_valid
 from evaluator.policy.faults import check_answer
 from evaluator.policy.interface import ObservationBatch, Policy, PrivilegedPolicy
+from evaluator.scenarios import load_list
+from evaluator.sim.observation import observe
 from evaluator.sim.parameters import WORLD
+from evaluator.sim.reach import valid_actions
+from evaluator.sim.simulator import Simulator
+from evaluator.sim.spawn import collection_generator, draw_step
 from rema_data import grid
+from rema_data.schema import Shape, Situation
 from tests.evaluator.policy.batches import make_batch, make_situation
 
 
@@ -35,6 +42,7 @@ def with_valid(batch: ObservationBatch, valid: np.ndarray) -> ObservationBatch:
 def test_they_keep_the_contract() -> None:
     assert isinstance(RandomPolicy(), Policy)
     assert isinstance(ScriptedPolicy(), PrivilegedPolicy) and ScriptedPolicy.privileged
+    assert isinstance(ReferencePolicy(), PrivilegedPolicy) and ReferencePolicy.privileged
     assert not hasattr(RandomPolicy, "privileged")
 
 
@@ -74,6 +82,69 @@ def test_scripted_angles_of_two_arms_are_halved() -> None:
     batch.valid[..., 8:] = False
     actions = ScriptedPolicy().act(batch, (make_situation(),) * 40)
     assert set((actions % grid.ANGLES).tolist()) == set(range(8))
+
+
+def situations_of(task: str, step: int, count: int) -> tuple[Situation, ...]:
+    """Fresh objects for a step before the last, with the tools of frozen scenarios in hand."""
+    found = []
+    for scenario in load_list(task, "val").scenarios[:count]:
+        placement = draw_step(collection_generator(3, 1, task, "train", scenario.index), task, step)
+        found.append(Situation(task, step, placement, scenario.grips[:step]))
+    return tuple(found)
+
+
+def batch_of(situations: tuple[Situation, ...]) -> ObservationBatch:
+    """What a policy is shown of them."""
+    first, seen = situations[0], [observe(situation) for situation in situations]
+    valid = valid_actions(first.task, first.step)
+    return ObservationBatch(
+        np.stack([one.scene_m() for one in seen]),
+        np.stack([one.end_effector() for one in seen]),
+        first.kind.primitive.value,
+        first.kind.embodiment.value,
+        first.task,
+        first.step,
+        np.broadcast_to(valid, (len(seen), *valid.shape)),
+    )
+
+
+@pytest.mark.parametrize(("task", "step"), [("grasp_push", 0), ("grasp_grasp", 1), ("grasp_grasp_push", 2)])
+def test_the_reference_picks_nearly_everything_up(task: str, step: int) -> None:
+    """Also what the scripted policy mostly misses: an L or a T between two sticks."""
+    situations = tuple(
+        situation for situation in situations_of(task, step, 14) if step < 2 or situation.target.spec.shape != Shape.I
+    )
+    batch = batch_of(situations)
+    picked = {}
+    simulator = Simulator()
+    for policy in (ReferencePolicy(), ScriptedPolicy()):
+        answers = check_answer(policy.act(batch, situations), batch.valid)
+        outcomes = [simulator.run(situation, int(a)) for situation, a in zip(situations, answers, strict=True)]  # type: ignore[call-overload]
+        picked[type(policy)] = sum(outcome.success for outcome in outcomes)
+    simulator.close()
+    assert picked[ReferencePolicy] >= 0.7 * len(situations)
+    assert picked[ReferencePolicy] > picked[ScriptedPolicy]
+
+
+def test_the_reference_does_not_depend_on_batch_or_order() -> None:
+    for task, step in (("grasp_push", 0), ("grasp_grasp_push", 2)):
+        situations = situations_of(task, step, 6)
+        batch = batch_of(situations)
+        whole = ReferencePolicy().act(batch, situations).tolist()
+        alone = [int(ReferencePolicy().act(batch.one(n), (situations[n],))[0]) for n in reversed(range(6))]
+        assert alone == whole[::-1]
+
+
+def test_the_reference_leaves_to_the_scripted_policy_what_it_has_no_choice_for() -> None:
+    batch = make_batch(8, primitive="push")
+    situations = (make_situation(task="push"),) * 8
+    assert ReferencePolicy().act(batch, situations).tolist() == ScriptedPolicy().act(batch, situations).tolist()
+    batch = make_batch(8)
+    batch.valid[:, :, 20:] = False  # its picks are out of reach
+    outside = (make_situation(x_m=0.05),) * 8
+    answers = ReferencePolicy().act(batch, outside)
+    assert answers.tolist() == ScriptedPolicy().act(batch, outside).tolist()
+    assert all(isinstance(answer, int) for answer in check_answer(answers, batch.valid))
 
 
 def test_the_nearest_valid_pixel_keeps_the_angle() -> None:

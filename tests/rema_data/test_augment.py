@@ -344,9 +344,12 @@ def test_every_step_gets_what_is_valid_for_it(which: Any) -> None:
             image = (8 - old) if two else (16 - old) % 16
             assert ((new == old) | ((new == image) & (which != "none"))).all()
             if which != "none":
-                assert 0.3 < (new != old).float().mean() < 0.6
+                able = (image != old) & ~(two & (old == 0))
+                assert 0.25 < (new != old)[able].float().mean() < 0.75
         else:
-            assert set(new.tolist()) == set(range(8 if two else 16))
+            angles = 8 if two else 16
+            assert set(new.tolist()) <= set(range(angles))
+            assert len(set(new.tolist())) > angles // 2
         if kind.embodiment in ("tool", "pinched"):
             still = (old == 0) & two
             assert reflected[~still].any() == (which != "none")

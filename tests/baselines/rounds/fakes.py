@@ -21,9 +21,8 @@ seed = 7
 
 [[rounds]]
 policy = "random"
-picks = "reference"
-episodes = { train = 23, val = 4 }
-tasks = ["grasp", "grasp_grasp"]
+episodes = { train = 12, val = 3 }
+tasks = ["grasp"]
 
 [[rounds]]
 policy = "scripted"

@@ -20,16 +20,13 @@ ROOT = Path(__file__).parents[3]
 def test_a_plan_is_a_list_of_blocks(tmp_path: Path) -> None:
     plan = load_plan(write_plan(tmp_path))
     assert [(block.key.path, block.episodes) for block in plan.blocks] == [
-        ("round-1/grasp/train", 23),
-        ("round-1/grasp/val", 4),
-        ("round-1/grasp_grasp/train", 23),
-        ("round-1/grasp_grasp/val", 4),
+        ("round-1/grasp/train", 12),
+        ("round-1/grasp/val", 3),
         ("round-2/grasp_grasp_push/train", 11),
     ]
     names = [tuple(use.spec.name for use in block.policies) for block in plan.blocks]
     assert names[0] == ("random",)
-    assert names[2] == ("reference", "reference", "random")
-    assert names[4] == ("reference", "reference", "reference", "scripted")
+    assert names[2] == ("reference", "reference", "reference", "scripted")
     assert (plan.about.name, plan.seed, plan.parent, plan.reused) == ("tiny", 7, None, ())
 
 
@@ -42,11 +39,11 @@ def test_a_task_can_have_its_own_values(tmp_path: Path) -> None:
     push = { episodes = { val = 2 } }
     """
     head, _, _ = PLAN.rpartition("[[rounds]]")
-    plan = load_plan(write_plan(tmp_path, head.replace('tasks = ["grasp", "grasp_grasp"]', tasks)))
+    plan = load_plan(write_plan(tmp_path, head.replace('tasks = ["grasp"]', tasks)))
     counts = {block.key: block.episodes for block in plan.blocks}
     assert counts == {
-        BlockKey(1, "grasp", "train"): 23,
-        BlockKey(1, "grasp", "val"): 4,
+        BlockKey(1, "grasp", "train"): 12,
+        BlockKey(1, "grasp", "val"): 3,
         BlockKey(1, "push", "val"): 2,
     }
     (mine,) = plan.blocks[0].policies
@@ -71,17 +68,17 @@ def test_a_task_can_have_its_own_values(tmp_path: Path) -> None:
         ('policy = "random"', 'policy = { code = "random", weights = "w" }', "rounds[1].tasks.grasp.policy.weights"),
         ('policy = "random"', 'policy = "gone.py"', "rounds[1].tasks.grasp.policy"),
         ('policy = "random"', 'policy = { code = "random", checkpoint = "gone" }', "rounds[1].tasks.grasp.policy"),
-        ('policy = "random"\npicks = "reference"', 'policy = "random"', "rounds[1].tasks.grasp_grasp.picks"),
-        ("episodes = { train = 23, val = 4 }", "", "rounds[1].tasks.grasp.episodes"),
-        ("{ train = 23, val = 4 }", "{}", "rounds[1].tasks.grasp.episodes"),
-        ("{ train = 23, val = 4 }", "{ train = 0 }", "rounds[1].tasks.grasp.episodes.train"),
-        ("{ train = 23, val = 4 }", "{ train = 2.5 }", "rounds[1].tasks.grasp.episodes.train"),
-        ("{ train = 23, val = 4 }", "{ test = 4 }", "rounds[1].tasks.grasp.episodes.test"),
-        ('["grasp", "grasp_grasp"]', '["grasp", "throw"]', "rounds[1].tasks"),
-        ('["grasp", "grasp_grasp"]', '["grasp", "grasp"]', "rounds[1].tasks"),
-        ('["grasp", "grasp_grasp"]', "[]", "rounds[1].tasks"),
-        ('["grasp", "grasp_grasp"]', "{ grasp = 3 }", "rounds[1].tasks"),
-        ('["grasp", "grasp_grasp"]', '["grasp"]\nspeed = 2', "rounds[1].speed"),
+        ('picks = "reference"', "", "rounds[2].tasks.grasp_grasp_push.picks"),
+        ("episodes = { train = 12, val = 3 }", "", "rounds[1].tasks.grasp.episodes"),
+        ("{ train = 12, val = 3 }", "{}", "rounds[1].tasks.grasp.episodes"),
+        ("{ train = 12, val = 3 }", "{ train = 0 }", "rounds[1].tasks.grasp.episodes.train"),
+        ("{ train = 12, val = 3 }", "{ train = 2.5 }", "rounds[1].tasks.grasp.episodes.train"),
+        ("{ train = 12, val = 3 }", "{ test = 4 }", "rounds[1].tasks.grasp.episodes.test"),
+        ('["grasp"]', '["grasp", "throw"]', "rounds[1].tasks"),
+        ('["grasp"]', '["grasp", "grasp"]', "rounds[1].tasks"),
+        ('["grasp"]', "[]", "rounds[1].tasks"),
+        ('["grasp"]', "{ grasp = 3 }", "rounds[1].tasks"),
+        ('["grasp"]', '["grasp"]\nspeed = 2', "rounds[1].speed"),
         ('tasks = ["grasp_grasp_push"]', "", "rounds[2].tasks"),
         ('policy = "scripted"', "reuse = true", "rounds[2].picks"),
     ],

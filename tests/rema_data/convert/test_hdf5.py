@@ -72,7 +72,7 @@ def test_every_column_is_there_with_its_unit(exported: Path) -> None:
             assert set(found) == {column.name for column in EPISODE_COLUMNS} - nulls | {"num_samples"}
             assert (found["task"], found["split"], found["episode"]) == (TASK, episode.split, episode.index)
             assert found.get("failure") == episode.failure
-        columns = file[f"rema/round-1/{TASK}/train/steps"]
+        columns = file[f"rema/round-1/{TASK}/train"]
         assert set(columns) == {column.name for column in STEP_COLUMNS}
         assert columns["tool0_x_m"].attrs["unit"] == "m" and columns["tool0_x_m"].attrs["frame"] == "hand"
         pinched = [step.situation.pinch for episode in episodes(TASK)[:10] for step in episode.steps]

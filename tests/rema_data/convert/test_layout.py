@@ -66,8 +66,9 @@ def test_a_height_that_cannot_be_stored_is_refused(wrong: float) -> None:
 
 
 def test_a_missing_height_and_half_a_mask_are_refused() -> None:
-    with pytest.raises(InputError, match="missing"):
-        stored_scenes(np.full((1, 64, 64, 1), 65535, np.uint16))
+    for value in (65535, HIGHEST + 1):
+        with pytest.raises(InputError, match="missing, or above"):
+            stored_scenes(np.full((1, 64, 64, 1), value, np.uint16))
     obs = np.zeros((1, 112, 112, 4), np.float32)
     obs[0, 5, 5, 3] = 0.5
     with pytest.raises(InputError, match="other than 0 and 1"):

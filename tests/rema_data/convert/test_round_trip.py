@@ -13,10 +13,8 @@ import pytest
 from rema_data.convert import export_release, import_release
 from rema_data.errors import InputError, RunMismatchError, StorageError
 from rema_data.release.folder import ReleaseFolder, find_release
-from rema_data.release.seal import Description, seal
-from rema_data.store.block import STEPS, BlockKey, BlockReader
-from rema_data.store.tables import to_parquet
-from rema_data.testing import FINGERPRINT, make_block, make_release
+from rema_data.store.block import BlockKey, BlockReader
+from rema_data.testing import make_release
 from tests.rema_data.convert.conftest import files
 
 TASK = "grasp_grasp_push"
@@ -71,21 +69,6 @@ def test_other_content_in_the_place_of_a_parent_is_not_touched(tmp_path: Path) -
     with pytest.raises(RunMismatchError, match="other content"):
         import_release([tmp_path / "export"], other.root)
     assert files(tmp_path / "back") == before
-
-
-def test_a_release_whose_columns_are_worded_otherwise_comes_back(tmp_path: Path) -> None:
-    """The words about a column are part of the bytes of a Parquet file, and change with the version of rema."""
-    staging, key = tmp_path / "staging", BlockKey(1, "grasp", "train")
-    make_block(staging / key.path, key, 5)
-    table = BlockReader(staging / key.path).steps()
-    field = table.schema.field(0).with_metadata({"meaning": "what has to be done"})
-    reworded = table.cast(table.schema.set(0, field))
-    (staging / key.path / STEPS).write_bytes(to_parquet(reworded))
-    about = Description("old", "Old", "", "CC-BY-4.0", "Nobody")
-    old = seal(staging, tmp_path / "root", about, [key], fingerprint=FINGERPRINT)
-    export_release(old, tmp_path / "export")
-    assert import_release([tmp_path / "export"], tmp_path / "back").identical
-    assert files(tmp_path / "back") == files(old.root)
 
 
 def test_another_name_is_another_identity_with_the_same_blocks(
@@ -174,7 +157,7 @@ def test_an_edited_map_is_imported(export: Path, release: ReleaseFolder, tmp_pat
     assert imported.differences == (f"{TRAIN}: other content of maps.zarr/scene/c/0/0/0",)
     scene = BlockReader(imported.release.path / TRAIN).maps().read("scene", 0, 1)[0]
     before = BlockReader(release.path / TRAIN).maps().read("scene", 0, 1)[0]
-    assert scene[5, 6] == round(1234.5) + 100 or scene[5, 6] == 1335
+    assert abs(int(scene[5, 6]) - 1334.5) <= 0.5
     scene[5, 6] = before[5, 6]
     assert np.array_equal(scene, before)
 

@@ -207,6 +207,8 @@ def test_batch_laws(release: rema_data.Release, maps: Delivery) -> None:
     with pytest.raises(IndexError):
         batch[6]
     assert equal(copy.deepcopy(batch), batch) and equal(pickle.loads(pickle.dumps(batch)), batch)
+    other = batch.replace(scene=batch.scene + 1)
+    assert torch.equal(other.scene, batch.scene + 1) and equal(other.replace(scene=batch.scene), batch)
     with pytest.raises(AttributeError):
         batch.scene = batch.scene  # type: ignore[misc]
 
@@ -217,7 +219,7 @@ def test_quantised_batches_convert_to_the_same_floats(release: rema_data.Release
 
     quantised, floats = release.steps()[:], release.steps(maps="float32")[:]
     assert isinstance(quantised, StepBatch) and equal(quantised.float(), floats)
-    assert equal(quantised[::3].float(), floats[::3])
+    assert equal(quantised[::3].float(), floats[::3]) and floats.float() is floats
     scene, planes = convert.to_metres_on_device(quantised.scene, quantised.ee_depth, quantised.ee_mask)
     assert torch.equal(scene, floats.scene) and torch.equal(planes, floats.tensors[1])
     assert len(quantised[:0].float()) == 0

@@ -326,6 +326,8 @@ def test_a_stratum_without_rows_is_named() -> None:
 def test_combinations_that_never_occur_are_no_strata() -> None:
     columns = {"task": np.array(["a", "a", "b", "b"]), "round": np.array([1, 2, 1, 1])}
     assert len(BalancedSampler(columns, 3, by=("task", "round")).strata.labels) == 3
+    columns["round"] -= 1  # numbers, even if they are 0 and 1
+    assert BalancedSampler(columns, 3, by=("task", "round")).strata.labels == (("a", 0), ("a", 1), ("b", 0))
 
 
 def test_a_batch_smaller_than_the_strata() -> None:

@@ -1,0 +1,63 @@
+"""Checks of what a sampler is given."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from rema_data.errors import InputError
+from rema_data.samplers.strata import column_of
+
+__all__ = ["one_of", "rank_and_world", "refuse_mixed_splits", "whole"]
+
+
+def rank_and_world(rank: int | None, world_size: int | None) -> tuple[int, int]:
+    """Rank and world size: as given, else of ``torch.distributed`` where it is in use, else 0 and 1.
+
+    Raises
+    ------
+    InputError
+        Only one of them is given, or the rank is outside of the world.
+    """
+    if rank is None and world_size is None:
+        distributed = sys.modules.get("torch.distributed")  # whoever uses it has imported it
+        if distributed is not None and distributed.is_available() and distributed.is_initialized():
+            return distributed.get_rank(), distributed.get_world_size()
+        return 0, 1
+    if rank is None or world_size is None:
+        raise InputError("rank and world_size belong together", hint="give both, or none")
+    world_size = whole("world_size", world_size, 1)
+    if whole("rank", rank, 0) >= world_size:
+        raise InputError(f"rank {rank} is outside of a world of {world_size}", hint="ranks count from 0")
+    return int(rank), world_size
+
+
+def whole(name: str, value: Any, least: int) -> int:
+    """A whole number from ``least`` up; raises InputError where it is none."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise InputError(
+            f"{name}={value!r} is not a whole number from {least} up", hint=f"give {name} as such a number"
+        )
+    return int(value)
+
+
+def one_of(name: str, value: Any, choices: Sequence[Any]) -> None:
+    """Raise InputError where a value is none of the choices."""
+    if not any(value is choice or (isinstance(choice, str) and value == choice) for choice in choices):
+        raise InputError(f"{name}={value!r} is unknown", hint=f"use one of {', '.join(map(repr, choices))}")
+
+
+def refuse_mixed_splits(table: Any) -> None:
+    """Raise InputError where a table has rows of more than one ``split``."""
+    if "split" not in table:
+        return
+    splits = sorted(map(str, column_of(table, "split").unique().tolist()))
+    if len(splits) > 1:
+        raise InputError(
+            f"the table mixes the splits {', '.join(splits)}: what is learned from cannot be validated on",
+            hint='select one, for example release.steps(split="train"), or pass across_splits=True',
+            splits=tuple(splits),
+        )
