@@ -1,7 +1,8 @@
 """Augmentations of whole batches that keep label and picture together.
 
-Every function is pure: tensors in, new tensors out, on any device, with the random numbers of a generator that is
-passed in. ``i`` is a row of the scene (world y), ``j`` a column (world x), ``k`` an angle; see ``rema_data.grid``.
+Every function leaves the tensors that it is given as they are, works on any device, and takes its random numbers from a
+generator that is passed in. ``i`` is a row of the scene (world y), ``j`` a column (world x), ``k`` an angle; see
+``rema_data.grid``.
 
 ========== ============ ============================ =========================================
 step       end effector rotation                     mirror image in y

@@ -36,7 +36,7 @@ HEIGHT_ERROR_M = HEIGHT_STEP_M / 2
 MISSING = 65535
 """A stored value that means: no data here."""
 
-_HIGHEST = MISSING - 1
+_HIGHEST = np.iinfo(np.int16).max  # of the decoded form
 Heights = npt.NDArray[np.uint16]
 
 
@@ -46,7 +46,7 @@ def quantise(height_m: npt.ArrayLike) -> Heights:
     Raises
     ------
     InputError
-        A height is NaN, infinite, below -10 mm or above 6.54 m.
+        A height is NaN, infinite, below -10 mm or above 3.26 m.
     """
     steps = np.rint(np.asarray(height_m, np.float64) / HEIGHT_STEP_M) + HEIGHT_OFFSET_STEPS
     if not np.all((steps >= 0) & (steps <= _HIGHEST)):  # false for NaN too
@@ -89,7 +89,7 @@ def decode_heights(stored: Heights) -> npt.NDArray[np.int16]:
     Raises
     ------
     IntegrityError
-        A value is missing, or higher than int16 can say (3.27 m).
+        A value is missing, or higher than int16 can say (3.26 m).
     """
     top = int(stored.max()) if stored.size else 0
     if top > np.iinfo(np.int16).max:

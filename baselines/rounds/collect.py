@@ -18,7 +18,7 @@ from baselines.rounds.work import WorkFolder, work_path
 from evaluator.engines import make_engine
 from evaluator.engines.child import call_in_child
 from evaluator.runner import Backend, ProgressSink, Silent, default_backend
-from rema_data.errors import InputError, RunMismatchError
+from rema_data.errors import InputError, PolicyFailureError, RunMismatchError
 from rema_data.release.folder import ReleaseFolder, find_release
 from rema_data.release.manifest import MANIFEST, parse_manifest
 from rema_data.release.seal import seal
@@ -200,10 +200,16 @@ class _Collection:
             self.progress.note(f"resumed: {total - left:,} of {total:,} episodes are there")
         self.progress.phase("collect", left)
         player = Player(self.plan.seed, self.backend, self.policies.of)
-        with closing(self.policies), closing(make_engine(engine, workers, self.backend.simulator)) as running:
-            self.policies.start(chunk.block for chunk in missing)
-            for chunk, episodes in player.play(missing, running, self.progress.advance):
-                work.commit(chunk, EncodedChunk.of(episodes))
+        try:
+            with closing(self.policies), closing(make_engine(engine, workers, self.backend.simulator)) as running:
+                self.policies.start(chunk.block for chunk in missing)
+                for chunk, episodes in player.play(missing, running, self.progress.advance):
+                    work.commit(chunk, EncodedChunk.of(episodes))
+        except PolicyFailureError as error:
+            error.hint = f"mend the policy, delete {self.work} and run the same command again"
+            if any(self.work.glob("policy-*.log")):
+                error.hint = f"what it printed is in {self.work}/policy-*.log\n{error.hint}"
+            raise
 
     def seal(self, work: WorkFolder) -> ReleaseFolder:
         """Put the chunks together and seal the release."""

@@ -220,7 +220,7 @@ def _refused(behaviour: Behaviour, chunk: Chunk, index: int, step: int, fault: P
     return PolicyFailureError(
         f"policy {behaviour.name} gave no action for step {step} of episode {index} of {chunk.block.path}: "
         f"{fault.reason}: {fault.detail}",
-        hint="mend the policy and run the same command again (a changed policy starts in a new folder)",
+        hint="mend the policy: what it recorded so far is then of another policy, and has to be played again",
         policy=behaviour.name,
         episode=index,
         block=chunk.block.path,

@@ -105,7 +105,10 @@ class Engine(Protocol):
     """Maps shards to results, unordered, as they finish."""
 
     def map(self, shards: Iterable[Shard]) -> Iterator[ShardResult]:
-        """Run every job once and yield every key exactly once, in groups."""
+        """Run every job once and yield every key exactly once, in groups.
+
+        An empty shard means: nothing at present, ask again after the next results.
+        """
         ...
 
     def close(self) -> None:

@@ -13,7 +13,17 @@ from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import BlockEntry, Manifest
 from rema_data.store.block import BlockKey
 
-__all__ = ["ExportOptions", "ExportedFile", "Format", "Plan", "Progress", "Silent", "Source"]
+__all__ = [
+    "ExportOptions",
+    "ExportPlan",
+    "ExportedFile",
+    "Format",
+    "ImportedBlock",
+    "Maps",
+    "Progress",
+    "Silent",
+    "Source",
+]
 
 Maps = Literal["metres", "quantised"]
 
@@ -76,7 +86,7 @@ class ExportedFile:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class ExportPlan:
     """An export that is asked for: blocks of a release, the folder for its files, and the options."""
 
     release: ReleaseFolder
@@ -121,7 +131,7 @@ class Source(Protocol):
 class Format(Protocol):
     """A format that releases are written to and read from."""
 
-    def export(self, plan: Plan, progress: Progress) -> list[ExportedFile]:
+    def export(self, plan: ExportPlan, progress: Progress) -> list[ExportedFile]:
         """Write an export; each of its files appears whole or not at all.
 
         Raises

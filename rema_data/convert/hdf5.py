@@ -26,7 +26,7 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 
-from rema_data.convert.base import ExportedFile, Plan, Progress, Source
+from rema_data.convert.base import ExportedFile, ExportPlan, Progress, Source
 from rema_data.convert.hdf5_reader import expand, open_source
 from rema_data.convert.hdf5_writer import write_file
 
@@ -36,7 +36,7 @@ __all__ = ["Hdf5"]
 class Hdf5:
     """robomimic's layout."""
 
-    def export(self, plan: Plan, progress: Progress) -> list[ExportedFile]:
+    def export(self, plan: ExportPlan, progress: Progress) -> list[ExportedFile]:
         """See ``Format``."""
         tasks = dict.fromkeys(block.task for block in plan.blocks)
         return [write_file(plan, task, [b for b in plan.blocks if b.task == task], progress) for task in tasks]

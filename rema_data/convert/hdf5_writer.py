@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from rema_data.convert.base import ExportedFile, ExportOptions, Plan, Progress
+from rema_data.convert.base import ExportedFile, ExportOptions, ExportPlan, Progress
 from rema_data.convert.hdf5_file import FORMAT, VERSION, NewFile, new_file, open_file, reading
 from rema_data.convert.layout import obs_of_end_effectors, obs_of_scenes, to_array, trajectory
 from rema_data.convert.pieces import Piece, read_pieces
@@ -33,7 +33,7 @@ _COMPACT_ATTRIBUTES = 32
 Array = npt.NDArray[Any]
 
 
-def write_file(plan: Plan, task: str, blocks: Sequence[BlockEntry], progress: Progress) -> ExportedFile:
+def write_file(plan: ExportPlan, task: str, blocks: Sequence[BlockEntry], progress: Progress) -> ExportedFile:
     """Write the file of one task, unless the same one is there already."""
     path = plan.target / f"{task}.hdf5"
     identity = _identity(plan, blocks)
@@ -55,7 +55,7 @@ def write_file(plan: Plan, task: str, blocks: Sequence[BlockEntry], progress: Pr
     return ExportedFile(path, episodes, steps, path.stat().st_size, new)
 
 
-def _identity(plan: Plan, blocks: Sequence[BlockEntry]) -> dict[str, Any]:
+def _identity(plan: ExportPlan, blocks: Sequence[BlockEntry]) -> dict[str, Any]:
     """Attributes of the group ``rema``: equal ones mean equal files."""
     manifest = plan.release.manifest
     return {
@@ -83,7 +83,7 @@ class _Writer:
         self._demos = 0
         self._filters: defaultdict[str, list[str]] = defaultdict(list)
 
-    def write(self, plan: Plan, task: str, blocks: Sequence[BlockEntry]) -> None:
+    def write(self, plan: ExportPlan, task: str, blocks: Sequence[BlockEntry]) -> None:
         root = self._file.root
         rema = _group(root, "rema")
         _write_bytes(rema, "manifest", plan.release.manifest.to_bytes())

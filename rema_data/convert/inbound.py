@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rema_data.convert.base import Progress, Silent, Source
 from rema_data.convert.formats import find_format
-from rema_data.errors import RunMismatchError
+from rema_data.errors import InputError, RunMismatchError
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, Manifest, check_name
 from rema_data.release.seal import Description, file_sha256, seal
@@ -75,7 +75,7 @@ def import_release(
     Raises
     ------
     InputError
-        The name cannot be one, or the files are no export, or not of one release.
+        The name cannot be one, or the files are no export, not of one release, or without episodes.
     MissingFileError
         A file is not there.
     IntegrityError
@@ -103,6 +103,8 @@ def import_release(
             staging = Path(folder) / name
             staging.mkdir()
             written = _write_blocks(source, staging, progress)
+            if not written:
+                raise InputError("the files hold no episode of a release", hint="export the release again")
             differences = _compare(source.manifest, staging, written)
             if name == source.manifest.name and not differences:
                 _write_card(source, staging)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from rema_data.convert.base import ExportedFile, ExportOptions, Plan, Progress, Silent
+from rema_data.convert.base import ExportedFile, ExportOptions, ExportPlan, Progress, Silent
 from rema_data.convert.formats import find_format
 from rema_data.release.folder import ReleaseFolder
 
@@ -57,5 +57,5 @@ def export_release(
     writer = find_format(format)
     blocks = release.manifest.select(tasks, rounds, split)
     release.require(blocks)
-    plan = Plan(release, blocks, target, options or ExportOptions())
+    plan = ExportPlan(release, blocks, target, options or ExportOptions())
     return writer.export(plan, progress or Silent())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -14,6 +15,8 @@ __all__ = ["SUFFIX", "PartFile"]
 
 SUFFIX = ".part"
 _READ_ONLY = 0o444
+_LARGE = 4 << 20
+"""Files of so many bytes are hashed in a thread of their own, one chunk behind the writing."""
 
 
 class PartFile:
@@ -37,6 +40,7 @@ class PartFile:
         self.path = target.with_name(target.name + SUFFIX)
         self.size = size
         self.position = 0
+        self._hashing: Future[None] | None = None
 
     def __enter__(self) -> Self:
         with storage_errors(self.path):
@@ -52,11 +56,14 @@ class PartFile:
             except BaseException:
                 self._file.close()
                 raise
+        self._hasher = ThreadPoolExecutor(1, "rema hash") if self.size >= _LARGE else None
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if self._hasher is not None:
+            self._hasher.shutdown()
         self._file.close()
 
     def append(self, data: bytes) -> None:
@@ -71,13 +78,18 @@ class PartFile:
         with storage_errors(self.path):
             while view:
                 view = view[self._file.write(view) :]
-        self._hash.update(data)
+        self._wait_for_hash()
+        if self._hasher is None:
+            self._hash.update(data)
+        else:
+            self._hashing = self._hasher.submit(self._hash.update, data)
         self.position += len(data)
 
     def restart(self) -> None:
         """Throw away what is there."""
         with storage_errors(self.path):
             self._file.truncate(0)
+        self._wait_for_hash()
         self._hash = hashlib.sha256()
         self.position = 0
 
@@ -88,6 +100,7 @@ class PartFile:
 
     def matches(self, sha256: str) -> bool:
         """Whether the file is whole, and the right one."""
+        self._wait_for_hash()
         return self.position == self.size and self._hash.hexdigest() == sha256
 
     def finish(self) -> None:
@@ -97,3 +110,9 @@ class PartFile:
             self.path.chmod(_READ_ONLY)
             self.path.replace(self.target)
             sync_folder(self.target.parent)
+
+    def _wait_for_hash(self) -> None:
+        """Until every byte that was appended is in the hash."""
+        if self._hashing is not None:
+            self._hashing.result()
+            self._hashing = None

@@ -146,7 +146,7 @@ class StepDataset(Dataset[StepBatch | FloatBatch]):
         IndexError
             One is outside of the dataset.
         InputError
-            They are not whole numbers.
+            They are not whole numbers, or not in one row.
         """
         if isinstance(which, slice):
             return self.rows.position[which].copy()
@@ -154,6 +154,11 @@ class StepDataset(Dataset[StepBatch | FloatBatch]):
         if given.dtype.kind not in "iu" and given.size:
             raise InputError(
                 f"positions are whole numbers, not {given.dtype}", hint="for a mask use dataset.select(mask)"
+            )
+        if given.ndim != 1:
+            raise InputError(
+                f"positions of shape {given.shape} are not one batch",
+                hint="hand a sampler of batches over as batch_sampler=sampler, or its rows as sampler=sampler.flat()",
             )
         try:
             return self.rows.position.take(given.astype(np.int64, copy=False))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from rema_data.errors import InputError, MissingFileError
 from rema_data.release.manifest import MANIFEST, BlockEntry, FileEntry, Manifest, parse_manifest
-from rema_data.release.registry import load_published, newest, published
+from rema_data.release.registry import SAMPLE, load_published, published
 from rema_data.storage import rema_home
 from rema_data.store.keys import BlockKey
 
@@ -150,8 +150,8 @@ def find_release(name_or_path: str | os.PathLike[str] | None = None) -> ReleaseF
 
 def _find_default() -> ReleaseFolder:
     """The newest published release that is here, else the sample."""
-    order = [newest(), *(entry.name for entry in reversed(published()))]
-    for name in dict.fromkeys(order):
+    names = [entry.name for entry in reversed(published())]
+    for name in sorted(names, key=lambda name: name == SAMPLE):
         try:
             return find_release(name)
         except MissingFileError:

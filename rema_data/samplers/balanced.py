@@ -263,7 +263,7 @@ class BalancedSampler(ResumableOrder[Batch]):
             "batch": step,
             "row": row,
             "world_size": self.world_size,
-            "settings": self._settings,
+            "settings": dict(self._settings),
         }
         anchor = self._plan.anchor(epoch, step)
         return state if anchor is None else {**state, "anchor": list(anchor)}

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import shutil
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +23,7 @@ from rema_data.errors import (
     MissingFileError,
     PolicyFailureError,
     RunMismatchError,
+    StorageError,
     SubmissionError,
 )
 from rema_data.release.folder import ReleaseFolder, find_release
@@ -197,6 +200,27 @@ def leave_litter(work: Path) -> None:
 def test_only_what_the_log_vouches_for_is_kept(tmp_path: Path, finished: ReleaseFolder, harm: Any) -> None:
     plan = write_plan(tmp_path)
     harm(interrupted(plan, tmp_path, 8))
+    assert tree(collect_fake(plan, tmp_path).release.path) == tree(finished.path)
+
+
+def test_a_full_disk_stops_the_collection_and_a_second_run_finishes_it(
+    tmp_path: Path, finished: ReleaseFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left, sync = 9, os.fsync
+
+    def fill(descriptor: int) -> None:
+        nonlocal left
+        left -= 1
+        if left < 0:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        sync(descriptor)
+
+    plan = write_plan(tmp_path)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", fill)
+        with pytest.raises(StorageError, match="no space is left"):
+            collect_fake(plan, tmp_path)
+    assert not (tmp_path / "tiny").exists()
     assert tree(collect_fake(plan, tmp_path).release.path) == tree(finished.path)
 
 

@@ -73,6 +73,8 @@ def test_a_bad_plan_is_bad_input(tmp_path: Path) -> None:
     assert done.exit_code == 2 and "seed is missing" in done.stderr
     assert rema(tmp_path / "gone.toml").exit_code == 2
     assert rema(write_plan(tmp_path), "--workers", "0").exit_code == 2
+    in_the_way = rema(write_plan(tmp_path), "--output", tmp_path / "plan.toml", "--engine", "inline")
+    assert in_the_way.exit_code == 2 and "is a file, not a folder" in in_the_way.stderr
 
 
 def test_a_policy_that_fails_has_its_exit_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

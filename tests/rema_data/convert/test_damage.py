@@ -158,6 +158,14 @@ def test_a_file_that_contradicts_itself(number: int, export: Path, tmp_path: Pat
     refuse([path], tmp_path, kind, words)
 
 
+def test_a_file_without_episodes(export: Path, tmp_path: Path) -> None:
+    path = export / "grasp.hdf5"
+    with h5py.File(path, "r+") as file:
+        for name in list(file["data"]):
+            del file[f"data/{name}"]
+    refuse([path], tmp_path, InputError, "no episode of a release")
+
+
 def test_files_of_two_releases_are_not_mixed(export: Path, tmp_path: Path) -> None:
     other = make_release(tmp_path / "data", "other", tasks=("push",), episodes=5)
     export_release(other, export)

@@ -230,3 +230,10 @@ def test_saved_batch_stands_alone(dataset: StepDataset) -> None:
     torch.save(dataset[:3], file)
     file.seek(0)
     assert equal(torch.load(file, weights_only=False), dataset[:3])
+
+
+def test_batches_of_batches_are_refused(dataset: StepDataset) -> None:
+    """The mistake of handing a sampler of batches over as ``sampler=``."""
+    sampler = rema_data.BalancedSampler(dataset, batch_size=2, by=("success",))
+    with pytest.raises(InputError, match="not one batch"):
+        next(iter(DataLoader(dataset, sampler=sampler, batch_size=8)))
