@@ -219,7 +219,7 @@ def _undelivered(
     manifest: Manifest, failed: Sequence[Undelivered], files: int, only_local: bool
 ) -> MissingFileError | IntegrityError:
     by_answers: dict[tuple[tuple[str, str], ...], list[str]] = {}
-    for error in failed:
+    for error in sorted(failed, key=lambda error: error.entry.location):
         by_answers.setdefault(tuple(error.answers.items()), []).append(error.entry.location)
     lines = [f"{len(failed)} of {files} files of {manifest.name} could not be fetched"]
     for answers, locations in list(by_answers.items())[:_LISTED]:

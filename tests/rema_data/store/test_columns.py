@@ -48,13 +48,10 @@ def test_every_value_of_an_object_has_its_column() -> None:
 
 
 @TABLES
-def test_the_schema_carries_what_is_known_of_a_column(columns: tuple[Column, ...]) -> None:
+def test_the_schema_has_the_types_of_the_columns(columns: tuple[Column, ...]) -> None:
     schema = arrow_schema(columns)
     assert schema.metadata == {b"rema.schema_version": str(SCHEMA_VERSION).encode()}
     for column in columns:
         field = schema.field(column.name)
         assert field.type == pa.type_for_alias(column.type)
         assert field.nullable == column.nullable
-        notes = {name.decode(): value.decode() for name, value in field.metadata.items()}
-        told = {"meaning": column.meaning, "unit": column.unit, "frame": column.frame}
-        assert notes == {name: value for name, value in told.items() if value}
