@@ -114,7 +114,7 @@ def test_offline(publish: Publish, monkeypatch: pytest.MonkeyPatch, by_environme
     with serve(tiny.folder) as server:
         with pytest.raises(MissingFileError, match="3 of 3 files") as caught:
             download("tiny", sources=[server.url], offline=not by_environment)
-        assert "steps.parquet and 2 more" in caught.value.message and "--source FOLDER" in caught.value.hint
+        assert "tiny/DATASHEET.md and 2 more" in caught.value.message and "--source FOLDER" in caught.value.hint
         assert download("tiny", sources=[server.url, tiny.folder], offline=True).sources == {str(tiny.folder): 3}
         assert download("tiny", sources=[server.url], offline=True).present_files == 3
     assert server.requests == []
