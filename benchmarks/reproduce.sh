@@ -21,5 +21,13 @@ python benchmarks/memory.py --json $results/memory.json
 python benchmarks/determinism.py --episodes 60 --others 400 --json $results/determinism.json
 python benchmarks/byte_identity.py --episodes 100 --json $results/byte_identity.json
 python benchmarks/full_run.py --runs runs/*-conditional --json $results/full_run.json
+
+rema collect manifests/plans/rema-sample.toml # releases that are already there are kept
+rema collect manifests/plans/rema-mini.toml
+python benchmarks/open.py --json $results/open.json
+python benchmarks/sampler.py --json $results/sampler.json
+python benchmarks/size.py --json $results/size.json
+python benchmarks/read.py --json $results/read.json # pip install minari==0.5.4 datasets==5.2.0 pillow
+python benchmarks/download.py --json $results/download.json # with nginx on the path
 python benchmarks/report.py
 python benchmarks/gallery.py

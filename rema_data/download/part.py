@@ -16,7 +16,9 @@ __all__ = ["SUFFIX", "PartFile"]
 SUFFIX = ".part"
 _READ_ONLY = 0o444
 _LARGE = 4 << 20
-"""Files of so many bytes are hashed in a thread of their own, one chunk behind the writing."""
+"""Files of so many bytes are hashed and flushed by threads of their own, while the next bytes arrive."""
+_FLUSH = 32 << 20
+"""Bytes after which a flush to the disk begins, so that the last one is short."""
 
 
 class PartFile:
@@ -41,6 +43,8 @@ class PartFile:
         self.size = size
         self.position = 0
         self._hashing: Future[None] | None = None
+        self._flushing: Future[None] | None = None
+        self._unflushed = 0
 
     def __enter__(self) -> Self:
         with storage_errors(self.path):
@@ -56,14 +60,14 @@ class PartFile:
             except BaseException:
                 self._file.close()
                 raise
-        self._hasher = ThreadPoolExecutor(1, "rema hash") if self.size >= _LARGE else None
+        self._threads = ThreadPoolExecutor(2, "rema part") if self.size >= _LARGE else None
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._hasher is not None:
-            self._hasher.shutdown()
+        if self._threads is not None:
+            self._threads.shutdown()
         self._file.close()
 
     def append(self, data: bytes) -> None:
@@ -78,11 +82,13 @@ class PartFile:
         with storage_errors(self.path):
             while view:
                 view = view[self._file.write(view) :]
+            if self._threads is not None:
+                self._begin_to_flush(len(data), self._threads)
         self._wait_for_hash()
-        if self._hasher is None:
+        if self._threads is None:
             self._hash.update(data)
         else:
-            self._hashing = self._hasher.submit(self._hash.update, data)
+            self._hashing = self._threads.submit(self._hash.update, data)
         self.position += len(data)
 
     def restart(self) -> None:
@@ -106,10 +112,21 @@ class PartFile:
     def finish(self) -> None:
         """Give the file its name. Every byte is on the disk before, and the file is read-only after."""
         with storage_errors(self.target):
+            if self._flushing is not None:
+                self._flushing.result()
             os.fsync(self._file.fileno())
             self.path.chmod(_READ_ONLY)
             self.path.replace(self.target)
             sync_folder(self.target.parent)
+
+    def _begin_to_flush(self, written: int, threads: ThreadPoolExecutor) -> None:
+        """Flush in the background once enough has been written; an error of an earlier flush is raised here."""
+        self._unflushed += written
+        if self._unflushed >= _FLUSH and (self._flushing is None or self._flushing.done()):
+            if self._flushing is not None:
+                self._flushing.result()
+            self._flushing = threads.submit(os.fsync, self._file.fileno())
+            self._unflushed = 0
 
     def _wait_for_hash(self) -> None:
         """Until every byte that was appended is in the hash."""
