@@ -47,7 +47,7 @@ from rema_data.release.seal import Description
 from rema_data.schema import TASKS
 from rema_data.store.block import SPLITS, BlockKey
 
-__all__ = ["BlockPlan", "CollectionPlan", "PolicyUse", "load_plan"]
+__all__ = ["BlockPlan", "CollectionPlan", "PolicyUse", "load_plan", "read_plan", "read_toml"]
 
 _MAX_EPISODES = 2**31 - 1
 _TEXTS = ("name", "title", "description", "license", "citation")
@@ -124,8 +124,38 @@ def load_plan(path: Path) -> CollectionPlan:
     InputError
         It is not TOML, or a value cannot be used: the message names the file and the key.
     """
+    return read_plan(read_toml(path), path)
+
+
+def read_plan(content: dict[str, Any], path: Path) -> CollectionPlan:
+    """Check a plan that was read already.
+
+    Parameters
+    ----------
+    content : dict
+    path : Path
+        Of the file; the files that a plan names are looked for beside it.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        See ``load_plan``.
+    """
+    return _Reader(path).plan(content)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Content of a plan's file.
+
+    Raises
+    ------
+    MissingFileError
+        It is not there.
+    InputError
+        It is not TOML.
+    """
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise MissingFileError(f"there is no plan at {path}", hint="check the path", path=str(path)) from None
     except IsADirectoryError:
@@ -134,7 +164,6 @@ def load_plan(path: Path) -> CollectionPlan:
         ) from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path} is not TOML: {error}", hint="mend the file", path=str(path)) from error
-    return _Reader(path).plan(content)
 
 
 class _Reader:

@@ -41,6 +41,8 @@ VERBS: dict[str, Verb] = {
     "export": Verb("evaluator.cli.export:export", "Write a release in another format."),
     "import": Verb("evaluator.cli.import_:import_", "Bring an exported release back."),
     "collect": Verb("baselines.rounds.command:collect", "Run a collection plan and seal a release."),
+    "train": Verb("baselines.train.command:train", "Train a network on a release."),
+    "rounds": Verb("baselines.rounds.recursion_command:rounds", "Collect and train in rounds, as a plan says."),
     "evaluate": Verb("evaluator.cli.evaluate:evaluate", "Score a policy on frozen scenarios."),
     "leaderboard": Verb(
         "evaluator.cli.leaderboard:leaderboard", "Compare runs in one table, beside the paper's rates."

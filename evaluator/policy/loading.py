@@ -16,6 +16,9 @@ BUILT_INS: dict[str, str] = {
     "random": "random_policy.py:RandomPolicy",
     "scripted": "scripted_policy.py:ScriptedPolicy",
     "reference": "reference_policy.py:ReferencePolicy",
+    "tae": "tae_policy.py:TaePolicy",
+    "tae-joint": "tae_policy.py:TaePolicy",
+    "tae-separate": "tae_policy.py:TaePolicy",
 }
 """Built-in names: file of the installed ``baselines`` package, and class."""
 

@@ -1,0 +1,180 @@
+"""The recursion: collect, train, collect with what was trained, round after round (paper, section 4.4).
+
+Every stage leaves something sealed: a release, or a checkpoint. A stage whose product is there is skipped, so the same
+command goes on after any interruption; within a stage, collection and training resume by themselves.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from baselines.rounds.collect import collect
+from baselines.rounds.recursion_plan import CHECKPOINTS, NetworkPlan, RecursionPlan, RoundPlan
+from baselines.train.loop import Report, train, trained
+from evaluator.runner import ProgressSink
+from rema_data.errors import MissingFileError, RunMismatchError
+from rema_data.loader.release import Release, load
+from rema_data.release.folder import ReleaseFolder
+from rema_data.release.manifest import MANIFEST, parse_manifest
+from rema_data.storage import write_atomic
+
+__all__ = ["Stage", "Watcher", "recurse"]
+
+COSTS = "stages.json"
+"""Beside the networks: what every stage took on the machine that did it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """A step of the recursion.
+
+    Attributes
+    ----------
+    round : int
+    what : str
+        ``collect NAME`` or ``train FOLDER/NAME``.
+    already : bool
+        It was done before.
+    seconds : float
+        That this run spent on it.
+    """
+
+    round: int
+    what: str
+    already: bool
+    seconds: float
+
+
+class Watcher(Protocol):
+    """Where a recursion says how far it is."""
+
+    @property
+    def sink(self) -> ProgressSink:
+        """Progress of collections."""
+        ...
+
+    def training(self, what: str, updates: int) -> Report:
+        """A training begins; what it is to report to."""
+        ...
+
+    def done(self, stage: Stage) -> None:
+        """A stage is done."""
+        ...
+
+
+def recurse(
+    plan: RecursionPlan,
+    releases: Path,
+    watcher: Watcher,
+    *,
+    stages: int | None = None,
+    workers: int | None = None,
+    device: str = "cpu",
+) -> list[Stage]:
+    """Carry out a plan, from the first stage whose product is not there.
+
+    Parameters
+    ----------
+    plan : RecursionPlan
+    releases : Path
+        Folder of releases; networks go to its ``checkpoints`` folder.
+    watcher : Watcher
+    stages : int, optional
+        Stop after so many stages that had something to do.
+    workers : int, optional
+        Simulation processes; every core by default.
+    device : str
+        Of the trainings.
+
+    Raises
+    ------
+    RemaError
+        As ``collect`` and ``train``; what is finished stays.
+    RunMismatchError
+        A release or a network of that name is there, made by another plan.
+    """
+    recursion = _Recursion(plan, releases, watcher, workers, device)
+    done: list[Stage] = []
+    for entry in plan.rounds:
+        for work in (recursion.collect, *((lambda e, n=network: recursion.train(e, n)) for network in entry.networks)):
+            stage = work(entry)
+            done.append(stage)
+            watcher.done(stage)
+            if stages is not None and sum(not stage.already for stage in done) >= stages:
+                return done
+    return done
+
+
+class _Recursion:
+    def __init__(self, plan: RecursionPlan, releases: Path, watcher: Watcher, workers: int | None, device: str) -> None:
+        self.plan, self.releases, self.watcher = plan, releases, watcher
+        self.workers, self.device = workers, device
+        self.networks = releases / CHECKPOINTS / plan.name
+
+    def collect(self, entry: RoundPlan) -> Stage:
+        what, started = f"collect {entry.release}", time.perf_counter()
+        sealed = self.sealed(entry)
+        if sealed is None:
+            if entry.collection is None:
+                raise MissingFileError(
+                    f"round {entry.number} is reused from {entry.release}, which is not in {self.releases}",
+                    hint="collect that recursion first, or fetch it",
+                )
+            collect(
+                self.plan.collection(entry.number, self.releases),
+                self.releases,
+                workers=self.workers,
+                progress=self.watcher.sink,
+            )
+        return self.finished(entry.number, what, sealed is not None, started)
+
+    def sealed(self, entry: RoundPlan) -> ReleaseFolder | None:
+        """The release of a round, where it is there and holds what the plan says."""
+        path = self.releases / entry.release / MANIFEST
+        if not path.is_file():
+            return None
+        manifest = parse_manifest(path.read_bytes(), str(path))
+        if entry.collection is not None:
+            wanted = {
+                (block.key, block.episodes, "+".join(dict.fromkeys(use.spec.name for use in block.policies)))
+                for block in self.plan.collection(entry.number, self.releases).blocks
+            }
+            found = {
+                (block.key, block.episodes, "+".join(dict.fromkeys(name for name in block.policies if name)))
+                for block in manifest.blocks
+                if block.round == entry.number
+            }
+            if wanted != found:
+                raise RunMismatchError(
+                    f"{path.parent} holds other episodes than round {entry.number} of {self.plan.path}",
+                    hint="give the plan another name, or choose another folder with --output",
+                    path=str(path.parent),
+                )
+        return ReleaseFolder(manifest, self.releases)
+
+    def train(self, entry: RoundPlan, network: NetworkPlan) -> Stage:
+        what, started = f"train {network.folder}/{network.name}", time.perf_counter()
+        release = self.release(entry)
+        folder = self.networks / network.folder
+        already = trained(release, network.config, folder, network.name) is not None
+        if not already:
+            report = self.watcher.training(what, network.config.updates)
+            train(release, network.config, folder, network.name, device=self.device, report=report)
+        return self.finished(entry.number, what, already, started)
+
+    def release(self, entry: RoundPlan) -> Release:
+        return load(self.releases / entry.release)
+
+    def finished(self, number: int, what: str, already: bool, started: float) -> Stage:
+        """Note what a stage took; interrupted runs of it add up."""
+        stage = Stage(number, what, already, time.perf_counter() - started)
+        if not already:
+            path = self.networks / COSTS
+            costs: dict[str, Any] = json.loads(path.read_text()) if path.is_file() else {}
+            costs[what] = {"round": number, "seconds": round(stage.seconds, 1)}
+            write_atomic(path, json.dumps(costs, indent=1) + "\n")
+        return stage

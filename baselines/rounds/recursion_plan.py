@@ -1,0 +1,214 @@
+"""Plans of the recursion: a TOML file with rounds, and the networks that are trained after each.
+
+::
+
+    name = "my-recursion"                       # title, description, license, citation, seed: as in a collection plan
+    begins_with = "rema-v0"                     # optional: whose first rounds are reused
+    ...
+
+    [[rounds]]                                  # round 1: as in a collection plan
+    policy = "random"
+    episodes = { train = 10000, val = 2000 }
+    tasks = ["grasp"]
+
+    [[rounds.networks]]                         # trained on rounds 1 to 1, when they are sealed
+    network = "round-1/grasp"                   # releases/checkpoints/my-recursion/round-1/grasp.safetensors
+    primitive = "grasp"                         # and whatever else a training has: baselines.train.config
+    tasks = ["grasp"]
+    updates = 160000
+
+    [[rounds]]                                  # round 2
+    policy = { code = "tae", checkpoint = "my-recursion/round-1" }      # networks of an earlier round, by their folder
+    episodes = { train = 10000, val = 2000 }
+    tasks = ["grasp"]
+
+Round n is sealed as ``NAME-round-n``, the last one as ``NAME``: each continues the one before and shares its blocks.
+"""
+
+from __future__ import annotations
+
+import copy
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from baselines.rounds.plan import CollectionPlan, read_plan, read_toml
+from baselines.train.config import TrainingConfig
+from rema_data.errors import InputError, RemaError
+
+__all__ = ["CHECKPOINTS", "NetworkPlan", "RecursionPlan", "RoundPlan", "load_recursion"]
+
+CHECKPOINTS = "checkpoints"
+"""Folder of networks, inside the folder of releases."""
+_TOP = ("name", "title", "description", "license", "citation", "published", "seed", "sources", "begins_with", "rounds")
+_NETWORK = re.compile(r"[a-z0-9][a-z0-9._-]*/[a-z0-9][a-z0-9_-]*")
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkPlan:
+    """A network to be trained.
+
+    Attributes
+    ----------
+    folder, name : str
+        ``checkpoints/PLAN/FOLDER/NAME.safetensors``.
+    config : TrainingConfig
+    """
+
+    folder: str
+    name: str
+    config: TrainingConfig
+
+
+@dataclass(frozen=True, slots=True)
+class RoundPlan:
+    """A round.
+
+    Attributes
+    ----------
+    number : int
+        From 1.
+    release : str
+        Name of the release that holds the rounds up to this one.
+    collection : dict or None
+        Of the round, as a collection plan has it; None for a round that is reused.
+    networks : tuple of NetworkPlan
+        Trained on that release.
+    """
+
+    number: int
+    release: str
+    collection: dict[str, Any] | None
+    networks: tuple[NetworkPlan, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RecursionPlan:
+    """A whole recursion.
+
+    Attributes
+    ----------
+    path : Path
+        Of the file.
+    about : dict
+        The texts and the seed, as a collection plan has them.
+    rounds : tuple of RoundPlan
+    """
+
+    path: Path
+    about: dict[str, Any]
+    rounds: tuple[RoundPlan, ...]
+
+    @property
+    def name(self) -> str:
+        """Of the recursion, and of its last release."""
+        return str(self.about["name"])
+
+    def collection(self, number: int, releases: Path) -> CollectionPlan:
+        """Collection plan of a round: its networks have to be there by now.
+
+        Raises
+        ------
+        MissingFileError, InputError
+            As for any collection plan.
+        """
+        entry = self.rounds[number - 1]
+        assert entry.collection is not None
+        content = {**self.about, "name": entry.release}
+        if number > 1:
+            content["parent"] = str((releases / self.rounds[number - 2].release).resolve())
+        if number < len(self.rounds):
+            content["title"] = f"{self.about['title']}: rounds 1 to {number}"
+        own = _with_checkpoints(entry.collection, (releases / CHECKPOINTS).resolve())
+        content["rounds"] = [*[{"reuse": True}] * (number - 1), own]
+        return read_plan(content, self.path)
+
+
+def load_recursion(path: Path) -> RecursionPlan:
+    """Read and check a plan of rounds.
+
+    Raises
+    ------
+    MissingFileError
+        The file is not there.
+    InputError
+        A value cannot be used, a field is unknown, or a policy's networks are not trained by an earlier round.
+    """
+    content = read_toml(path)
+    unknown = [name for name in content if name not in _TOP]
+    if unknown:
+        raise InputError(f"{path}: {unknown[0]} is not a key of a recursion", hint=f"known here: {', '.join(_TOP)}")
+    entries = content.get("rounds")
+    if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
+        raise InputError(f"{path}: rounds is not a list of rounds", hint="write a table [[rounds]] for each")
+    about = {key: value for key, value in content.items() if key not in ("rounds", "begins_with")}
+    name, base = str(content.get("name", "")), content.get("begins_with")
+    rounds: list[RoundPlan] = []
+    known: set[str] = set()
+    for number, entry in enumerate(entries, 1):
+        own = copy.deepcopy(entry)
+        networks = tuple(_network(path, number, table) for table in own.pop("networks", []))
+        if own.get("reuse") is True:
+            if not isinstance(base, str):
+                raise InputError(f"{path}: rounds[{number}].reuse lacks its source", hint='write begins_with = "..."')
+            rounds.append(RoundPlan(number, f"{base}-round-{number}", None, networks))
+        else:
+            _check_networks(path, number, own, known, base)
+            release = name if number == len(entries) else f"{name}-round-{number}"
+            rounds.append(RoundPlan(number, release, own, networks))
+        known |= {f"{name}/{network.folder}" for network in networks}
+    plan = RecursionPlan(path, about, tuple(rounds))
+    _check_rounds(plan)
+    return plan
+
+
+def _network(path: Path, number: int, table: Any) -> NetworkPlan:
+    where = f"{path}: rounds[{number}].networks"
+    values = dict(table) if isinstance(table, dict) else {}
+    place = values.pop("network", None)
+    if not isinstance(place, str) or not _NETWORK.fullmatch(place):
+        raise InputError(f"{where}: network = {place!r} names no network", hint='write network = "round-1/grasp"')
+    folder, _, name = place.partition("/")
+    try:
+        return NetworkPlan(folder, name, TrainingConfig.from_dict(values))
+    except RemaError as error:
+        raise InputError(f"{where}: {place}: {error.message}", hint=error.hint, network=place) from error
+
+
+def _uses(table: Any) -> list[dict[str, Any]]:
+    """Every policy below a table that names a checkpoint."""
+    if not isinstance(table, dict):
+        return []
+    here = [table] if "code" in table and "checkpoint" in table else []
+    return here + [use for value in table.values() for use in _uses(value)]
+
+
+def _check_networks(path: Path, number: int, table: dict[str, Any], known: set[str], base: Any) -> None:
+    for use in _uses(table):
+        place = str(use["checkpoint"])
+        if place not in known and not (isinstance(base, str) and place.startswith(f"{base}/")):
+            listed = ", ".join(sorted(known)) or "none"
+            raise InputError(
+                f"{path}: rounds[{number}] is played by {place}, which no earlier round trains",
+                hint=f"networks by then: {listed}",
+                checkpoint=place,
+            )
+
+
+def _with_checkpoints(table: dict[str, Any], root: Path) -> dict[str, Any]:
+    made = copy.deepcopy(table)
+    for use in _uses(made):
+        use["checkpoint"] = str(root / str(use["checkpoint"]))
+    return made
+
+
+def _check_rounds(plan: RecursionPlan) -> None:
+    """Check everything but the policies, which are not there yet, before hours of work begin."""
+    for entry in plan.rounds:
+        if entry.collection is None:
+            continue
+        own = copy.deepcopy(entry.collection)
+        for use in _uses(own):
+            del use["checkpoint"]
+        read_plan({**plan.about, "name": entry.release, "rounds": [own]}, plan.path)

@@ -1,0 +1,1 @@
+"""Training of TAE networks on a release."""

@@ -1,0 +1,319 @@
+"""The training loop: one labelled pixel a sample, resumable at every saved state, to the same weights."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import subprocess
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from baselines.tae.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from baselines.tae.network import TaeNetwork
+from baselines.train.config import TrainingConfig
+from baselines.train.data import open_data, prepared
+from baselines.train.state import TrainingState, read_state, write_state
+from baselines.train.validation import pixel_logits, validate
+from rema_data.augment import Augment
+from rema_data.errors import RemaError, RunMismatchError
+from rema_data.loader.release import Release
+from rema_data.storage import write_atomic
+
+__all__ = ["DivergedError", "Trained", "train", "trained"]
+
+_MOMENTS = ("exp_avg", "exp_avg_sq")
+_BETAS = (0.9, 0.95)
+"""Of Adam, as AdaGrasp has them."""
+Report = Callable[[int, dict[str, Any]], None]
+
+
+class DivergedError(RemaError, ArithmeticError):
+    """The loss is not a number any more."""
+
+    exit_code = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Trained:
+    """What came of a training.
+
+    Attributes
+    ----------
+    folder : Path
+    name : str
+    checkpoint : Checkpoint
+    already : bool
+        It was there before.
+    """
+
+    folder: Path
+    name: str
+    checkpoint: Checkpoint
+    already: bool
+
+
+def trained(release: Release, config: TrainingConfig, folder: Path, name: str) -> Trained | None:
+    """The finished training of this configuration and data in ``folder``, if it is there.
+
+    Raises
+    ------
+    RunMismatchError
+        A finished network of that name is there, of another configuration or other data.
+    IntegrityError
+        It is damaged.
+    """
+    if not (folder / f"{name}.json").exists():
+        return None
+    _, about = load_checkpoint(folder / name)
+    wanted = json.loads(json.dumps(config.to_dict()))
+    if about.release_sha256 != release.fingerprint or about.training != wanted:
+        raise RunMismatchError(
+            f"{folder / name} is a network of another training (release {about.release}, {about.updates:,} updates)",
+            hint="choose another --output or --name",
+            path=str(folder / name),
+        )
+    return Trained(folder, name, about, already=True)
+
+
+def train(
+    release: Release,
+    config: TrainingConfig,
+    folder: Path,
+    name: str,
+    *,
+    device: str = "cpu",
+    deterministic: bool = False,
+    report: Report | None = None,
+    save_every: int | None = None,
+) -> Trained:
+    """Train a network, or go on with a training that was interrupted, and write its best checkpoint.
+
+    Parameters
+    ----------
+    release : Release
+    config : TrainingConfig
+    folder : Path
+        Gets ``NAME.safetensors``, ``NAME.json`` and ``NAME.metrics.jsonl``; meanwhile ``.NAME.training``.
+    name : str
+    device : str
+    deterministic : bool
+        Refuse operations whose result may differ between two runs on one device.
+    report : callable, optional
+        Called after every update with the number of updates done and ``{"loss": ...}``, and after a validation with its
+        measures.
+    save_every : int, optional
+        Updates between two saved states; those of a validation by default.
+
+    Raises
+    ------
+    InputError, MissingFileError, IntegrityError
+        See ``open_data``.
+    RunMismatchError
+        The folder holds another training under the name.
+    DivergedError
+        The loss is NaN or infinite. The best weights so far are written.
+    StorageError
+        The disk is full.
+    """
+    done = trained(release, config, folder, name)
+    if done is not None:
+        return done
+    run = _Training(release, config, folder, name, torch.device(device), report)
+    before = torch.are_deterministic_algorithms_enabled()
+    torch.use_deterministic_algorithms(deterministic)
+    try:
+        return run.go(save_every or config.validate_every)
+    finally:
+        torch.use_deterministic_algorithms(before)
+
+
+class _Training:
+    def __init__(
+        self,
+        release: Release,
+        config: TrainingConfig,
+        folder: Path,
+        name: str,
+        device: torch.device,
+        report: Report | None,
+    ) -> None:
+        self.release, self.config, self.folder, self.name = release, config, folder, name
+        self.device, self.report = device, report
+        self.work = folder / f".{name}.training"
+        self.data = open_data(release, config)
+        self.augment = Augment(self.data.train, rotate=config.rotate, mirror="pushes" if config.mirror else "none")
+        self.network = TaeNetwork(config.architecture, torch.Generator().manual_seed(config.seed))
+        self.network.placed(device).train()
+        self.optimiser = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate, betas=_BETAS)
+        self.random = torch.Generator().manual_seed(config.seed + 1)
+        self.update = 0
+        self.history: list[dict[str, Any]] = []
+        self.best: dict[str, Any] | None = None
+        self.best_weights: dict[str, Tensor] = {}
+        self.seconds = 0.0
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        return {"training": self.config.to_dict(), "release": self.release.fingerprint, "device": self.device.type}
+
+    def go(self, save_every: int) -> Trained:
+        self.resume()
+        batches = self.data.batches()
+        losses: list[Tensor] = []
+        started = time.perf_counter()
+        waiting = 0.0
+        while self.update < self.config.updates:
+            asked = time.perf_counter()
+            samples = prepared(next(batches), self.augment, self.random, self.device)
+            waiting += time.perf_counter() - asked
+            losses.append(self.step(samples))
+            self.update += 1
+            if self.report is not None:
+                self.report(self.update, {"loss": losses[-1]})
+            last = self.update == self.config.updates
+            validating = last or self.update % self.config.validate_every == 0
+            if validating or self.update % save_every == 0:
+                self.check(losses)
+            if validating:
+                now = time.perf_counter()
+                self.seconds += now - started
+                took = {
+                    "seconds": now - started,
+                    "samples_per_second": len(losses) * self.config.batch_size / (now - started),
+                    "waiting_share": waiting / (now - started),
+                }
+                self.validate(float(torch.stack(losses).mean()), took)
+                losses, started, waiting = [], time.perf_counter(), 0.0
+            if validating or self.update % save_every == 0:
+                self.save()
+        return self.finish()
+
+    def step(self, samples: Any) -> Tensor:
+        """One update; the loss, still on the device."""
+        for group in self.optimiser.param_groups:
+            group["lr"] = self.config.learning_rate * self.rate()
+        pair = pixel_logits(self.network(samples.scene, samples.end_effector), samples.pixel)
+        loss = torch.nn.functional.cross_entropy(pair, samples.success.long())
+        self.optimiser.zero_grad()
+        torch.autograd.backward(loss)
+        self.optimiser.step()
+        return loss.detach()
+
+    def rate(self) -> float:
+        """Share of the learning rate at the present update."""
+        if self.config.schedule == "constant":
+            return 1.0
+        return 0.5 * (1 + math.cos(math.pi * self.update / self.config.updates))
+
+    def check(self, losses: list[Tensor]) -> None:
+        if bool(torch.isfinite(torch.stack(losses)).all()):
+            return
+        first = int((~torch.isfinite(torch.stack(losses))).nonzero()[0])
+        where = self.update - len(losses) + first + 1
+        kept = "none was good enough to keep"
+        if self.best is not None:
+            self.write_best()
+            kept = f"the best weights so far are those after update {self.best['update']}: {self.folder / self.name}"
+        raise DivergedError(
+            f"the loss of update {where} is not a number; {kept}",
+            hint="train with a smaller learning rate, or another seed",
+            update=where,
+        )
+
+    def validate(self, loss: float, took: dict[str, float]) -> None:
+        measures = validate(self.network, self.data.validation, self.device)
+        entry = {"update": self.update, "training_loss": loss, **took, **measures}
+        self.history.append(entry)
+        if self.best is None or measures["auc"] > self.best["auc"]:
+            self.best = {"update": self.update, **measures}
+            self.best_weights = {key: tensor.detach().cpu().clone() for key, tensor in self.weights().items()}
+        lines = "".join(json.dumps(row) + "\n" for row in self.history)
+        write_atomic(self.folder / f"{self.name}.metrics.jsonl", lines)
+        if self.report is not None:
+            self.report(self.update, entry)
+
+    def weights(self) -> dict[str, Tensor]:
+        return dict(self.network.state_dict())
+
+    def save(self) -> None:
+        parameters = dict(self.network.named_parameters())
+        moments = {
+            f"{key}/{name}": self.optimiser.state[parameter][key]
+            for name, parameter in parameters.items()
+            for key in _MOMENTS
+        }
+        tensors = {f"model/{name}": tensor for name, tensor in self.weights().items()} | moments
+        tensors |= {f"best/{name}": tensor for name, tensor in self.best_weights.items()}
+        tensors |= {"generator": self.random.get_state()}
+        facts = {
+            "sampler": self.data.sampler.state_dict(),
+            "history": self.history,
+            "best": self.best,
+            "seconds": self.seconds,
+        }
+        kept = {key: tensor.detach().cpu().contiguous() for key, tensor in tensors.items()}
+        write_state(self.work, self.identity, TrainingState(self.update, kept, facts))
+
+    def resume(self) -> None:
+        state = read_state(self.work, self.identity)
+        if state is None:
+            return
+        part: dict[str, dict[str, Tensor]] = {prefix: {} for prefix in ("model", *_MOMENTS, "best")}
+        for key, tensor in state.tensors.items():
+            prefix, _, name = key.partition("/")
+            if name:
+                part[prefix][name] = tensor
+        self.network.load_state_dict(part["model"])
+        for name, parameter in self.network.named_parameters():
+            moments = {key: part[key][name].to(parameter.device) for key in _MOMENTS}
+            if parameter.ndim == 4:
+                moments = {key: value.contiguous(memory_format=torch.channels_last) for key, value in moments.items()}
+            self.optimiser.state[parameter] = {"step": torch.tensor(float(state.update)), **moments}
+        self.random.set_state(state.tensors["generator"])
+        self.data.sampler.load_state_dict(state.facts["sampler"])
+        self.update, self.history, self.best = state.update, state.facts["history"], state.facts["best"]
+        self.seconds, self.best_weights = state.facts["seconds"], part["best"]
+        if self.report is not None:
+            self.report(self.update, {"resumed": self.update})
+
+    def write_best(self) -> Checkpoint:
+        assert self.best is not None
+        config = self.config
+        about = Checkpoint(
+            primitive=config.primitive,
+            skills=config.learned_skills,
+            architecture=config.architecture,
+            release=self.release.name,
+            release_sha256=self.release.fingerprint,
+            training=json.loads(json.dumps(config.to_dict())),
+            metrics={key: value for key, value in self.best.items() if key != "update"},
+            updates=self.best["update"],
+            commit=_commit(),
+        )
+        return save_checkpoint(self.folder, self.name, self.best_weights, about)
+
+    def finish(self) -> Trained:
+        about = self.write_best()
+        shutil.rmtree(self.work, ignore_errors=True)
+        return Trained(self.folder, self.name, about, already=False)
+
+
+def _commit() -> str:
+    """Commit of the checkout that this package lies in, with ``+`` where files differ from it; else empty."""
+
+    def git(*words: str) -> str:
+        done = subprocess.run(["git", *words], cwd=here, capture_output=True, text=True, check=True, timeout=10)
+        return done.stdout.strip()
+
+    here = Path(__file__).resolve().parent
+    with suppress(OSError, subprocess.SubprocessError):
+        return git("rev-parse", "HEAD") + ("+" if git("status", "--porcelain", "-uno") else "")
+    return ""

@@ -1,0 +1,124 @@
+"""Maps of success: quick ways give what the slow way gives, and the policy takes the best valid action."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from baselines.tae.checkpoint import Checkpoint, save_checkpoint
+from baselines.tae.network import Architecture, TaeNetwork
+from baselines.tae.rotation import turn_end_effector
+from baselines.tae.scoring import Scorer
+from baselines.tae_policy import TaePolicy
+from evaluator.policy import ObservationBatch
+from evaluator.sim.observation import observe
+from evaluator.sim.reach import valid_actions
+from rema_data.errors import InputError
+from rema_data.grid import decode
+from rema_data.schema import Situation
+from tests.evaluator.sim.test_cameras import SITUATIONS
+
+SMALL = Architecture(width=8)
+
+
+def settled(seed: int = 0) -> TaeNetwork:
+    """A network whose batch normalisations are not the identity."""
+    network = TaeNetwork(SMALL, torch.Generator().manual_seed(seed)).train()
+    with torch.no_grad():
+        for _ in range(3):
+            network(torch.rand(4, 1, 64, 64) * 0.05, torch.rand(4, 4, 112, 112))
+    return network.eval()
+
+
+def question(*situations: Situation) -> ObservationBatch:
+    seen = [observe(situation) for situation in situations]
+    first = situations[0]
+    valid = valid_actions(first.task, first.step)
+    return ObservationBatch(
+        np.stack([one.scene_m() for one in seen]),
+        np.stack([one.end_effector() for one in seen]),
+        first.kind.primitive.value,
+        first.kind.embodiment.value,
+        first.task,
+        first.step,
+        np.broadcast_to(valid, (len(seen), *valid.shape)),
+    )
+
+
+@torch.no_grad()
+def plain_maps(network: TaeNetwork, batch: ObservationBatch, angles: int) -> np.ndarray:
+    """All angles of all observations one by one, without any sharing."""
+    out = np.empty((len(batch), 64, 64, angles), np.float32)
+    for n in range(len(batch)):
+        hand = torch.from_numpy(np.moveaxis(batch.end_effector[n], -1, 0).copy())[None]
+        for k in range(angles):
+            logits = network(torch.from_numpy(batch.scene[n])[None, None], turn_end_effector(hand, torch.tensor([k])))
+            out[n, ..., k] = torch.softmax(logits, 1)[0, 1].numpy()
+    return out
+
+
+@pytest.mark.parametrize("name", ["gripper_grasp", "tool"])
+def test_shared_features_and_kept_kernels_change_nothing(name: str) -> None:
+    network, batch = settled(), question(SITUATIONS[name], SITUATIONS[name])
+    scorer = Scorer(network)
+    first, again = (scorer.maps(batch.scene, batch.end_effector, 16) for _ in range(2))
+    assert np.array_equal(first, again)
+    np.testing.assert_allclose(first, plain_maps(network, batch, 16), atol=2e-5)
+
+
+def write_policy(folder: Path, *networks: tuple[str, str, tuple[str, ...], int]) -> Path:
+    for name, primitive, skills, seed in networks:
+        about = Checkpoint(primitive, skills, SMALL, "tiny", "0" * 64)
+        save_checkpoint(folder, name, settled(seed).state_dict(), about)
+    return folder
+
+
+@pytest.fixture
+def joint(tmp_path: Path) -> Path:
+    return write_policy(
+        tmp_path, ("grasp", "grasp", ("grasp", "grasp_grasp"), 0), ("push", "push", ("push", "grasp_push"), 1)
+    )
+
+
+@pytest.mark.parametrize("name", SITUATIONS)
+def test_the_best_valid_action_is_taken(joint: Path, name: str) -> None:
+    policy, batch = TaePolicy(joint), question(SITUATIONS[name])
+    (action,) = policy.act(batch)
+    i, j, k = decode(int(action))
+    assert batch.valid[0, i, j, k]
+    maps = policy.maps(batch)
+    assert maps.shape[-1] == (8 if name in ("sticks", "pinched") else 16)
+    assert maps[0, i, j, k] == maps[0][batch.valid[0][..., : maps.shape[-1]]].max()
+
+
+def test_ties_go_to_the_lowest_index(joint: Path) -> None:
+    policy, batch = TaePolicy(joint), question(SITUATIONS["gripper_grasp"])
+    policy.maps = lambda observations: np.full((1, 64, 64, 16), 0.5, np.float32)  # type: ignore[method-assign]
+    assert policy.act(batch)[0] == np.flatnonzero(batch.valid[0].reshape(-1))[0]
+
+
+def test_every_skill_has_its_network(tmp_path: Path) -> None:
+    separate = write_policy(
+        tmp_path / "separate",
+        *((name, name.split("_")[-1], (name,), seed) for seed, name in enumerate(("grasp", "grasp_grasp", "push"))),
+    )
+    policy, alone = (
+        TaePolicy(separate),
+        {name: TaePolicy(separate / f"{name}.safetensors") for name in ("grasp", "push")},
+    )
+    for name, network in (("gripper_grasp", "grasp"), ("gripper_push", "push"), ("tool", "push")):
+        batch = question(SITUATIONS[name])  # no network was trained for a held tool: the one of its primitive answers
+        assert np.array_equal(policy.maps(batch), alone[network].maps(batch))
+    batch = question(SITUATIONS["sticks"])
+    assert not np.array_equal(policy.maps(batch), alone["grasp"].maps(batch))
+
+
+def test_a_policy_without_a_network_for_it(joint: Path) -> None:
+    (joint / "push.safetensors").unlink()
+    with pytest.raises(InputError, match="no network for push"):
+        TaePolicy(joint).act(question(SITUATIONS["gripper_push"]))
+    with pytest.raises(InputError, match="needs its networks"):
+        TaePolicy(None)

@@ -1,0 +1,32 @@
+"""A small synthetic release, and the smallest training on it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import rema_data
+from baselines.tae.network import Architecture
+from baselines.train.config import TrainingConfig
+from rema_data.testing import make_release
+
+SMALL = Architecture(width=4)
+
+
+@pytest.fixture(scope="session")
+def release(tmp_path_factory: pytest.TempPathFactory) -> rema_data.Release:
+    """Three tasks, both splits. Only to be read."""
+    made = make_release(tmp_path_factory.mktemp("releases"), tasks=("grasp", "push", "grasp_push"), episodes=30)
+    return rema_data.Release(made, cache=tmp_path_factory.mktemp("decoded"))
+
+
+@pytest.fixture(scope="session")
+def config() -> TrainingConfig:
+    """Nine updates with three validations."""
+    return TrainingConfig("grasp", ("grasp", "grasp_push"), updates=9, validate_every=3, architecture=SMALL)
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    """Every file of a folder of networks but the measures, which hold times."""
+    return {path.name: path.read_bytes() for path in folder.iterdir() if not path.name.endswith(".jsonl")}

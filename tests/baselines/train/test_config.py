@@ -1,0 +1,57 @@
+"""Configurations say what can be trained, and refuse the rest by name."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from baselines.tae.network import Architecture
+from baselines.train.config import TrainingConfig, skills_of
+from rema_data.errors import InputError
+
+
+def test_skills_follow_from_tasks_and_primitive() -> None:
+    assert skills_of("grasp", ("grasp_push",)) == ("grasp",)  # the tool pick
+    assert skills_of("grasp", ("grasp", "grasp_grasp")) == ("grasp", "grasp_grasp")
+    assert skills_of("push", ("push", "grasp_push")) == ("push", "grasp_push")
+    config = TrainingConfig("grasp", ("grasp_grasp",), skills=("grasp_grasp",))
+    assert config.learned_skills == ("grasp_grasp",)
+
+
+def test_a_configuration_survives_json() -> None:
+    config = TrainingConfig("push", ("push",), updates=5, schedule="cosine", architecture=Architecture(8, ee_stride=2))
+    assert TrainingConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"primitive": "throw"}, "primitive"),
+        ({"tasks": []}, "needs tasks"),
+        ({"tasks": ["juggle"]}, "juggle"),
+        ({"tasks": "grasp"}, "no list"),
+        ({"tasks": ["push"]}, "no grasp step"),
+        ({"skills": ["push"]}, "skill push"),
+        ({"updates": 0}, "updates"),
+        ({"updates": 1.5}, "updates"),
+        ({"learning_rate": 0.0}, "learning_rate"),
+        ({"learning_rate": float("nan")}, "learning_rate"),
+        ({"schedule": "linear"}, "schedule"),
+        ({"momentum": 0.9}, "momentum"),
+        ({"architecture": {"width": 3}}, "width"),
+    ],
+)
+def test_what_cannot_be_trained(values: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words) as caught:
+        TrainingConfig.from_dict({"primitive": "grasp", "tasks": ["grasp"], **values})
+    assert caught.value.hint
+
+
+@pytest.mark.parametrize("missing", ["primitive", "tasks"])
+def test_what_is_missing_is_named(missing: str) -> None:
+    with pytest.raises(InputError, match=missing):
+        TrainingConfig.from_dict(
+            {key: value for key, value in {"primitive": "grasp", "tasks": ["grasp"]}.items() if key != missing}
+        )

@@ -1,0 +1,180 @@
+"""Trainings: the same weights through any interruption, and clear ends of the bad ones."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+import rema_data
+from baselines.tae.checkpoint import load_checkpoint
+from baselines.train import loop
+from baselines.train.config import TrainingConfig
+from baselines.train.loop import DivergedError, train, trained
+from rema_data.errors import RunMismatchError
+from tests.baselines.train.conftest import tree
+
+ROOT = Path(__file__).parents[3]
+
+
+class Interruption(Exception):
+    """As if the process had been killed after an update."""
+
+
+def interrupted_at(update: int) -> loop.Report:
+    def report(now: int, facts: dict[str, Any]) -> None:
+        if now == update and "loss" in facts:
+            raise Interruption
+
+    return report
+
+
+@pytest.fixture(scope="module")
+def undisturbed(release: rema_data.Release, config: TrainingConfig, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("undisturbed")
+    train(release, config, folder, "grasp", deterministic=True)
+    return folder
+
+
+def test_a_training_leaves_a_network_with_its_card(
+    release: rema_data.Release, config: TrainingConfig, undisturbed: Path
+) -> None:
+    network, about = load_checkpoint(undisturbed / "grasp")
+    assert about.release == release.name and about.release_sha256 == release.fingerprint
+    assert (about.primitive, about.skills, about.training) == ("grasp", ("grasp",), config.to_dict())
+    assert about.updates in (3, 6, 9) and 0 <= about.metrics["auc"] <= 1 and network.architecture == config.architecture
+    lines = [json.loads(line) for line in (undisturbed / "grasp.metrics.jsonl").read_text().splitlines()]
+    assert [line["update"] for line in lines] == [3, 6, 9]
+    assert about.metrics["auc"] == max(line["auc"] for line in lines)
+    assert sorted(path.name for path in undisturbed.iterdir()) == [
+        "grasp.json",
+        "grasp.metrics.jsonl",
+        "grasp.safetensors",
+    ]
+
+
+@pytest.mark.parametrize("at", [2, 3, 5, 7])
+def test_interrupted_and_resumed_to_the_same_weights(
+    release: rema_data.Release, config: TrainingConfig, undisturbed: Path, tmp_path: Path, at: int
+) -> None:
+    with pytest.raises(Interruption):
+        train(release, config, tmp_path, "grasp", report=interrupted_at(at), save_every=2)
+    assert not (tmp_path / "grasp.json").exists()
+    done = train(release, config, tmp_path, "grasp", deterministic=True, save_every=2)
+    assert not done.already and tree(tmp_path) == tree(undisturbed)
+
+
+def test_a_damaged_state_is_not_trusted(
+    release: rema_data.Release, config: TrainingConfig, undisturbed: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(Interruption):
+        train(release, config, tmp_path, "grasp", report=interrupted_at(5))
+    (state,) = (tmp_path / ".grasp.training").glob("*.safetensors")
+    state.write_bytes(state.read_bytes()[:-1])
+    train(release, config, tmp_path, "grasp")
+    assert tree(tmp_path) == tree(undisturbed)
+
+
+def test_a_finished_training_is_not_repeated(
+    release: rema_data.Release, config: TrainingConfig, tmp_path: Path
+) -> None:
+    assert trained(release, config, tmp_path, "grasp") is None
+    first = train(release, config, tmp_path, "grasp")
+    again = train(release, config, tmp_path, "grasp", report=interrupted_at(1))
+    assert (first.already, again.already) == (False, True) and again.checkpoint == first.checkpoint
+    other = dataclasses.replace(config, seed=1)
+    with pytest.raises(RunMismatchError, match="another training"):
+        train(release, other, tmp_path, "grasp")
+
+
+def test_a_state_of_another_training_is_refused(
+    release: rema_data.Release, config: TrainingConfig, tmp_path: Path
+) -> None:
+    with pytest.raises(Interruption):
+        train(release, config, tmp_path, "grasp", report=interrupted_at(4))
+    with pytest.raises(RunMismatchError, match="training differ"):
+        train(release, dataclasses.replace(config, learning_rate=1e-3), tmp_path, "grasp")
+
+
+@pytest.mark.parametrize(("at", "kept"), [(2, False), (5, True)])
+def test_a_loss_that_is_no_number(
+    release: rema_data.Release,
+    config: TrainingConfig,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    at: int,
+    kept: bool,
+) -> None:
+    calls = iter(range(1, 100))
+    real = loop.pixel_logits
+
+    def poisoned(logits: torch.Tensor, pixel: torch.Tensor) -> torch.Tensor:
+        return real(logits, pixel) * (float("nan") if next(calls) == at else 1.0)
+
+    monkeypatch.setattr(loop, "pixel_logits", poisoned)
+    with pytest.raises(DivergedError, match=f"update {at} is not a number") as caught:
+        train(release, config, tmp_path, "grasp")
+    assert "learning rate" in caught.value.hint
+    assert (tmp_path / "grasp.json").exists() == kept
+    if kept:
+        assert load_checkpoint(tmp_path / "grasp")[1].updates == 3
+
+
+def test_one_seed_one_network(release: rema_data.Release, config: TrainingConfig, tmp_path: Path) -> None:
+    digests = []
+    for name, seed in (("one", 0), ("two", 0), ("other", 7)):
+        done = train(release, dataclasses.replace(config, seed=seed, updates=3), tmp_path, name)
+        digests.append(done.checkpoint.sha256)
+    assert digests[0] == digests[1] != digests[2]
+
+
+def test_training_leaves_the_global_generator_alone(
+    release: rema_data.Release, config: TrainingConfig, tmp_path: Path
+) -> None:
+    before = torch.random.get_rng_state()
+    train(release, dataclasses.replace(config, updates=2), tmp_path, "grasp")
+    assert torch.equal(torch.random.get_rng_state(), before)
+
+
+COMMAND = """
+import sys, time
+from pathlib import Path
+import rema_data
+import rema_data.release.folder
+from baselines.train import loop
+from baselines.train.config import TrainingConfig
+from baselines.tae.network import Architecture
+release = rema_data.Release(rema_data.release.folder.find_release(Path(sys.argv[1])), cache=Path(sys.argv[2]))
+small = Architecture(width=4)
+config = TrainingConfig("grasp", ("grasp", "grasp_push"), updates=9, validate_every=3, architecture=small)
+slow = lambda update, facts: time.sleep(float(sys.argv[4]))
+loop.train(release, config, Path(sys.argv[3]), "grasp", save_every=1, report=slow)
+"""
+
+
+def test_killed_and_run_again(release: rema_data.Release, undisturbed: Path, tmp_path: Path) -> None:
+    """kill -9 in the middle, twice, as a cluster would do it."""
+
+    def start(pause: float) -> subprocess.Popen[bytes]:
+        words = [str(release.folder.path), str(tmp_path / "cache"), str(tmp_path / "out"), str(pause)]
+        return subprocess.Popen([sys.executable, "-c", COMMAND, *words], cwd=ROOT, env=os.environ)
+
+    for least in (1, 4):
+        running = start(0.1)
+        deadline = time.monotonic() + 90
+        while not any(int(path.stem[-8:]) >= least for path in (tmp_path / "out").glob(".grasp.training/state-*.json")):
+            assert time.monotonic() < deadline and running.poll() is None
+            time.sleep(0.01)
+        running.send_signal(signal.SIGKILL)
+        running.wait()
+    assert start(0.0).wait(120) == 0
+    assert tree(tmp_path / "out") == tree(undisturbed)
