@@ -127,6 +127,8 @@ def fetch_files(
         for thread in threads:
             if thread.ident is not None:
                 thread.join(_GRACE_S / len(threads))
+        for source in sources:
+            source.close()
     return Outcome(moved, mirrors.used(), tuple(undelivered))
 
 

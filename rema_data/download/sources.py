@@ -1,7 +1,7 @@
-"""Where files come from: folders of releases behind a path or a URL, read through fsspec.
+"""Where files come from: folders of releases behind a path or a URL.
 
 HTTP servers are read with one streamed request a file, which starts at the byte where the last one stopped. Everything
-else that fsspec opens is read in blocks from that byte on.
+else is opened by fsspec and read in blocks from that byte on.
 """
 
 from __future__ import annotations
@@ -9,84 +9,22 @@ from __future__ import annotations
 import os
 import re
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote, urlsplit, urlunsplit
 
+from rema_data.download.http import Closing, WebFolder
+from rema_data.download.stream import Faltered, Refused, Stream, answered
 from rema_data.errors import InputError
 
-__all__ = ["Faltered", "Refused", "Source", "Stream"]
+__all__ = ["Source"]
 
 _CHUNK = 1 << 20
-_BUFFER = 1 << 18
-"""Of an HTTP connection. What is in it is lost when the connection drops; smaller ones are slower."""
 _BLOCK = 2 << 20
 """Bytes of one request to a store that is read in blocks, such as S3. At most so many are lost by a kill."""
-_CONNECT_S = 10.0
-_SILENCE_S = 30.0
-"""A server that sends nothing for so long has dropped the connection."""
-_PASSING = {HTTPStatus.REQUEST_TIMEOUT, HTTPStatus.TOO_EARLY, HTTPStatus.TOO_MANY_REQUESTS}
-_RANGE = re.compile(r"bytes (\d+)-\d+/(\d+|\*)")
 _LONGEST_ANSWER = 200
-
-
-class Refused(Exception):
-    """The source will not deliver this file, however often it is asked.
-
-    Attributes
-    ----------
-    absent : bool
-        It just does not have the file, as a mirror of a part of a release.
-    """
-
-    def __init__(self, why: str, *, absent: bool = False) -> None:
-        super().__init__(why)
-        self.absent = absent
-
-
-class Faltered(Exception):
-    """The source may deliver the file when it is asked again.
-
-    Attributes
-    ----------
-    wait_s : float
-        How long it asks us to wait, s.
-    """
-
-    def __init__(self, why: str, wait_s: float = 0.0) -> None:
-        super().__init__(why)
-        self.wait_s = wait_s
-
-
-class Stream:
-    """Bytes of one file from one source.
-
-    Attributes
-    ----------
-    start : int
-        Offset of the first byte: what was asked for, or 0 where a server ignores ranges.
-    """
-
-    def __init__(self, start: int, chunk: int, read: Callable[[int], bytes], judge: Callable[[Exception], Exception]):
-        self.start = start
-        self._chunk = chunk
-        self._read = read
-        self._judge = judge
-
-    def read(self, limit: int) -> bytes:
-        """The next bytes, at most ``limit``; none at the end.
-
-        Raises
-        ------
-        Refused, Faltered
-        """
-        try:
-            return self._read(min(limit, self._chunk))
-        except Exception as error:
-            raise self._judge(error) from error
 
 
 class Source:
@@ -111,7 +49,7 @@ class Source:
             raise InputError("a source is empty", hint="name a folder or a URL: --source https://host/releases")
         protocol = self.url.partition("://")[0] if "://" in self.url else "file"
         self.local = protocol in ("file", "local") and "::" not in self.url
-        self._http = protocol in ("http", "https")
+        self._web = WebFolder(self.url) if protocol in ("http", "https") else None
         self.label = _without_secrets(self.url)
         self._lock = threading.Lock()
         self._opened: tuple[Any, str] | None = None
@@ -127,10 +65,16 @@ class Source:
         InputError
         """
         try:
-            self._filesystem()
+            if self._web is None:
+                self._filesystem()
+            else:
+                self._web.check()
         except ImportError as error:
-            amazon = self.url.startswith(("s3://", "s3a://"))
-            package = 'pip install "rema[s3]"' if amazon else str(error)
+            package = str(error)
+            if self.url.startswith(("s3://", "s3a://")):
+                package = 'pip install "rema[s3]"'
+            elif self.url.rpartition("::")[2].startswith(("http://", "https://")):
+                package = 'pip install "fsspec[http]"'
             raise InputError(
                 f"the source {self.label} needs a package that is not installed", hint=package, source=self.label
             ) from error
@@ -167,11 +111,10 @@ class Source:
             The source does not answer now.
         """
         try:
-            filesystem, base = self._filesystem()
-            if self._http:
-                file, stream = self._open_http(filesystem, location, start, size)
+            if self._web is None:
+                file, stream = self._open_blocks(location, start, size)
             else:
-                file, stream = self._open_blocks(filesystem, base, location, start, size)
+                file, stream = self._web.open(location, start, size, self._judge)
         except (Refused, Faltered):
             raise
         except TimeoutError as error:
@@ -183,33 +126,23 @@ class Source:
         finally:
             file.close()
 
+    def close(self) -> None:
+        """Close the connections that are kept for the next file."""
+        if self._web is not None:
+            self._web.close()
+
     def _filesystem(self) -> tuple[Any, str]:
         """The fsspec file system and the path of the source in it."""
         from fsspec.core import url_to_fs
 
         with self._lock:
             if self._opened is None:
-                options = {"client_kwargs": _client_options()} if self._http else {}
-                filesystem, path = url_to_fs(self.url, **options)
+                filesystem, path = url_to_fs(self.url)
                 self._opened = filesystem, str(path)
             return self._opened
 
-    def _open_http(self, filesystem: Any, location: str, start: int, size: int) -> tuple[Any, Stream]:
-        parts = urlsplit(self.url)
-        url = urlunsplit(parts._replace(path=f"{parts.path.rstrip('/')}/{quote(location)}"))
-        headers = {**(filesystem.kwargs.get("headers") or {}), "Accept-Encoding": "identity"}
-        if start:
-            headers["Range"] = f"bytes={start}-"
-        # With a block size of 0 fsspec streams; the size spares it a request.
-        file = filesystem.open(url, "rb", block_size=0, size=size, headers=headers)
-        try:
-            first = _first_byte(file.r, location, start, size)
-        except BaseException:
-            file.close()
-            raise
-        return file, Stream(first, _CHUNK, file.read, self._judge)
-
-    def _open_blocks(self, filesystem: Any, base: str, location: str, start: int, size: int) -> tuple[Any, Stream]:
+    def _open_blocks(self, location: str, start: int, size: int) -> tuple[Closing, Stream]:
+        filesystem, base = self._filesystem()
         path = f"{base.rstrip('/')}/{location}" if base else location
         got = filesystem.size(path)
         if got is not None and got != size:
@@ -221,7 +154,7 @@ class Source:
         except BaseException:
             file.close()
             raise
-        return file, Stream(start, _CHUNK if self.local else _BLOCK, file.read, self._judge)
+        return file, Stream(start, _CHUNK if self.local else _BLOCK, file.readinto, self._judge)
 
     def _judge(self, error: Exception) -> Refused | Faltered:
         """What an exception of a file system or of a server means for this file."""
@@ -238,10 +171,7 @@ class Source:
             return Refused(f"cannot be read here: {self._words(error)}")
         status = getattr(error, "status", None)
         if isinstance(status, int) and status >= HTTPStatus.BAD_REQUEST:
-            answer = f"answered {status} {getattr(error, 'message', '')}".strip()
-            if status in _PASSING or status >= HTTPStatus.INTERNAL_SERVER_ERROR:
-                return Faltered(answer, _retry_after(error))
-            return Refused(answer)
+            return answered(status, getattr(error, "message", ""), None)
         if isinstance(error, TimeoutError):
             return Faltered("sends nothing more")
         return Faltered(self._words(error))
@@ -254,43 +184,7 @@ class Source:
         return (lines[0] if isinstance(error, OSError) else f"{name}: {lines[0]}")[:_LONGEST_ANSWER]
 
 
-def _client_options() -> dict[str, Any]:
-    """Of the HTTP session: proxies and ``.netrc`` as the environment has them, no limit on a whole file's time."""
-    from aiohttp import ClientTimeout
-
-    timeout = ClientTimeout(total=None, sock_connect=_CONNECT_S, sock_read=_SILENCE_S)
-    return {"timeout": timeout, "trust_env": True, "read_bufsize": _BUFFER}
-
-
 def _without_secrets(url: str) -> str:
     """The URL as messages show it: without user and password, and over HTTP without the query."""
     shown = re.sub(r"(?<=://)[^/@]*@", "", url)
     return re.sub(r"[?#].*", "", shown) if url.startswith(("http://", "https://")) else shown
-
-
-def _first_byte(response: Any, location: str, start: int, size: int) -> int:
-    """Offset at which a response begins; Refused where it cannot be the file."""
-    status, headers = response.status, response.headers
-    kind = headers.get("Content-Type", "").partition(";")[0].strip()
-    if status == HTTPStatus.PARTIAL_CONTENT:
-        match = _RANGE.match(headers.get("Content-Range", ""))
-        if match is None or int(match[1]) != start:
-            raise Refused(f"sent another range than the one from byte {start:,}")
-        if match[2] not in ("*", str(size)):
-            raise Refused(f"has {int(match[2]):,} bytes there, expected {size:,}")
-        return start
-    if status != HTTPStatus.OK:
-        raise Refused(f"answered {status} {response.reason}")
-    length = headers.get("Content-Length", "")
-    encoded = headers.get("Content-Encoding", "identity") != "identity"
-    if length.isdecimal() and not encoded and int(length) != size:
-        raise Refused(f"sent {int(length):,} bytes{f' of {kind}' if kind else ''}, expected {size:,}")
-    if kind == "text/html" and not location.endswith((".html", ".htm")):
-        raise Refused("sent a web page in its place")
-    return 0
-
-
-def _retry_after(error: Exception) -> float:
-    """Seconds that a server asks us to wait; a date counts as none."""
-    value = (getattr(error, "headers", None) or {}).get("Retry-After", "")
-    return float(value) if value.isdecimal() else 0.0

@@ -12,7 +12,8 @@ from pathlib import Path
 
 from rema_data.download.mirrors import Mirrors
 from rema_data.download.part import PartFile
-from rema_data.download.sources import Faltered, Refused, Source
+from rema_data.download.sources import Source
+from rema_data.download.stream import Faltered, Refused
 from rema_data.release.manifest import FileEntry
 
 __all__ = ["Stopped", "Transfer", "Undelivered"]
@@ -162,16 +163,16 @@ class Transfer:
             skip = part.position - stream.start
             self._origins.add(source)
             while part.position < part.size:
-                data = stream.read(part.size - part.position + skip)
+                count = stream.readinto(part.space()[: skip or None])
                 self._raise_if_stopped()
-                if not data:
+                if not count:
                     raise Faltered(f"stopped after {part.position:,} of {part.size:,} bytes")
-                self.moved += len(data)
-                fresh = data[skip:] if skip else data
-                skip -= len(data) - len(fresh)
-                if fresh:
-                    part.append(fresh)
-                    self._advance(len(fresh))
+                self.moved += count
+                if skip:  # what is here already is passed over
+                    skip -= count
+                else:
+                    part.grow(count)
+                    self._advance(count)
 
     def _raise_if_stopped(self) -> None:
         if self._stop.is_set():
