@@ -33,6 +33,8 @@ SECTIONS = {
     "codecs": "Codecs of the maps",
     "download": "Download",
     "robomimic_reader": "Exported files in robomimic's own reader",
+    "train": "Training speed",
+    "infer": "Inference speed",
 }
 """Sections, in this order; a benchmark may have several files."""
 

@@ -41,6 +41,7 @@ from pathlib import Path
 from typing import Any
 
 from evaluator.policy.loading import PolicySpec, check_checkpoint, resolve
+from evaluator.policy.shipped import shipped_checkpoint
 from rema_data.errors import InputError, MissingFileError, RemaError
 from rema_data.release.manifest import check_name
 from rema_data.release.seal import Description
@@ -261,7 +262,8 @@ class _Reader:
         try:
             if "checkpoint" in table:
                 checkpoint = self._beside(self._text(f"{where}.checkpoint", table["checkpoint"]))
-            return PolicyUse(resolve(self._code(code)), check_checkpoint(checkpoint), device)
+            spec = resolve(self._code(code))
+            return PolicyUse(spec, check_checkpoint(checkpoint) or shipped_checkpoint(spec.name), device)
         except RemaError as error:
             message = f"{self._path}: {where}: {error.message}"
             raise type(error)(message, hint=error.hint, **{**error.facts, "key": where}) from error

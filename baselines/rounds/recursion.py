@@ -13,16 +13,18 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from baselines.rounds.collect import collect
-from baselines.rounds.recursion_plan import CHECKPOINTS, NetworkPlan, RecursionPlan, RoundPlan
+from baselines.rounds.recursion_plan import NetworkPlan, RecursionPlan, RoundPlan
 from baselines.train.loop import Report, train, trained
+from evaluator.policy.shipped import CHECKPOINTS, publish_checkpoint
 from evaluator.runner import ProgressSink
 from rema_data.errors import MissingFileError, RunMismatchError
 from rema_data.loader.release import Release, load
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, parse_manifest
+from rema_data.release.registry import register
 from rema_data.storage import write_atomic
 
-__all__ = ["Stage", "Watcher", "recurse"]
+__all__ = ["Stage", "Watcher", "publish", "recurse"]
 
 COSTS = "stages.json"
 """Beside the networks: what every stage took on the machine that did it."""
@@ -107,6 +109,27 @@ def recurse(
             if stages is not None and sum(not stage.already for stage in done) >= stages:
                 return done
     return done
+
+
+def publish(plan: RecursionPlan, releases: Path) -> None:
+    """Enter the last release, and the networks of the plan's policies, in the manifests.
+
+    Raises
+    ------
+    MissingFileError
+        A stage is not done yet.
+    InputError
+        A release of that name is published with other content.
+    """
+    path = releases / plan.name / MANIFEST
+    networks = [network for entry in plan.rounds for network in entry.networks]
+    files = [releases / CHECKPOINTS / plan.name / network.folder / f"{network.name}.json" for network in networks]
+    for file in (path, *files):
+        if not file.is_file():
+            raise MissingFileError(f"{file} is not there yet", hint=f"finish it first: rema rounds {plan.path}")
+    register(parse_manifest(path.read_bytes(), str(path)))
+    for policy, folder in plan.policies.items():
+        publish_checkpoint(policy, f"{plan.name}/{folder}", releases / CHECKPOINTS / plan.name / folder)
 
 
 class _Recursion:

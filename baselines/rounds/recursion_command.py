@@ -22,8 +22,9 @@ __all__ = ["rounds"]
 )
 @click.option("--stages", type=click.IntRange(min=1), help="Stop after so many stages.")
 @click.option("--workers", type=click.IntRange(min=1), help="Simulation processes.  [default: one a core]")
+@click.option("--register", "publish", is_flag=True, help="Then enter release and networks in the manifests.")
 @click.option("--device", default="cpu", show_default=True, help="Of the trainings.")
-def rounds(plan: Path, output: Path, stages: int | None, workers: int | None, device: str) -> None:
+def rounds(plan: Path, output: Path, stages: int | None, workers: int | None, publish: bool, device: str) -> None:
     """Collect, train, and collect with what was trained, as PLAN says, a TOML file.
 
     Every stage leaves a sealed release or a checkpoint, and is skipped when that is there: run the same command again
@@ -36,6 +37,10 @@ def rounds(plan: Path, output: Path, stages: int | None, workers: int | None, de
     wanted = load_recursion(plan)
     with StderrProgress() as progress:
         recurse(wanted, output, _Watcher(progress), stages=stages, workers=workers, device=device)
+    if publish:
+        from baselines.rounds.recursion import publish as enter
+
+        enter(wanted, output)
 
 
 class _Watcher:

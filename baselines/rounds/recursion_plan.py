@@ -4,6 +4,7 @@
 
     name = "my-recursion"                       # title, description, license, citation, seed: as in a collection plan
     begins_with = "rema-v0"                     # optional: whose first rounds are reused
+    policies = { tae-joint = "joint" }          # optional: what --register enters as the networks of a built-in policy
     ...
 
     [[rounds]]                                  # round 1: as in a collection plan
@@ -35,13 +36,13 @@ from typing import Any
 
 from baselines.rounds.plan import CollectionPlan, read_plan, read_toml
 from baselines.train.config import TrainingConfig
+from evaluator.policy.shipped import CHECKPOINTS
 from rema_data.errors import InputError, RemaError
 
-__all__ = ["CHECKPOINTS", "NetworkPlan", "RecursionPlan", "RoundPlan", "load_recursion"]
+__all__ = ["NetworkPlan", "RecursionPlan", "RoundPlan", "load_recursion"]
 
-CHECKPOINTS = "checkpoints"
-"""Folder of networks, inside the folder of releases."""
-_TOP = ("name", "title", "description", "license", "citation", "published", "seed", "sources", "begins_with", "rounds")
+_OWN = ("begins_with", "policies", "rounds")
+_TOP = ("name", "title", "description", "license", "citation", "published", "seed", "sources", *_OWN)
 _NETWORK = re.compile(r"[a-z0-9][a-z0-9._-]*/[a-z0-9][a-z0-9_-]*")
 
 
@@ -94,11 +95,14 @@ class RecursionPlan:
     about : dict
         The texts and the seed, as a collection plan has them.
     rounds : tuple of RoundPlan
+    policies : dict of str to str
+        Built-in policies whose networks are trained here, with the folder of each.
     """
 
     path: Path
     about: dict[str, Any]
     rounds: tuple[RoundPlan, ...]
+    policies: dict[str, str]
 
     @property
     def name(self) -> str:
@@ -142,7 +146,7 @@ def load_recursion(path: Path) -> RecursionPlan:
     entries = content.get("rounds")
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
         raise InputError(f"{path}: rounds is not a list of rounds", hint="write a table [[rounds]] for each")
-    about = {key: value for key, value in content.items() if key not in ("rounds", "begins_with")}
+    about = {key: value for key, value in content.items() if key not in _OWN}
     name, base = str(content.get("name", "")), content.get("begins_with")
     rounds: list[RoundPlan] = []
     known: set[str] = set()
@@ -158,7 +162,14 @@ def load_recursion(path: Path) -> RecursionPlan:
             release = name if number == len(entries) else f"{name}-round-{number}"
             rounds.append(RoundPlan(number, release, own, networks))
         known |= {f"{name}/{network.folder}" for network in networks}
-    plan = RecursionPlan(path, about, tuple(rounds))
+    policies = content.get("policies", {})
+    folders = {network.folder for entry in rounds for network in entry.networks}
+    if not isinstance(policies, dict) or not set(policies.values()) <= folders:
+        raise InputError(
+            f"{path}: policies = {policies!r} names networks that no round trains",
+            hint=f"folders of networks: {', '.join(sorted(folders)) or 'none'}",
+        )
+    plan = RecursionPlan(path, about, tuple(rounds), policies)
     _check_rounds(plan)
     return plan
 

@@ -45,6 +45,7 @@ def _names(context: click.Context, parameter: click.Parameter, value: str | None
 @click.option("--ee-stride", type=int, default=4, show_default=True, help="4 or 2: pixels in a cell of the kernel.")
 @click.option("--up-align-corners/--no-up-align-corners", default=True, show_default=True)
 @click.option("--correlation-scale", type=click.Choice(["none", "cells"]), default="none", show_default=True)
+@click.option("--pictures", type=click.Path(path_type=Path), metavar="FILE.png", help="Draw maps of validation steps.")
 @click.option("--device", default="cpu", show_default=True)
 @click.option("--deterministic", is_flag=True, help="Refuse operations that may differ between two runs.")
 @click.option("--json", "as_json", is_flag=True, help="Print the card of the network alone.")
@@ -54,6 +55,7 @@ def train(
     name: str | None,
     device: str,
     deterministic: bool,
+    pictures: Path | None,
     as_json: bool,
     width: int,
     scene_stride: int,
@@ -78,7 +80,14 @@ def train(
     chosen = name or config.primitive
     with StderrProgress() as progress:
         report = reporter(progress, f"train {chosen}", config.updates)
-        done = run(load(release), config, output, chosen, device=device, deterministic=deterministic, report=report)
+        opened = load(release)
+        done = run(opened, config, output, chosen, device=device, deterministic=deterministic, report=report)
+    if pictures is not None:
+        from baselines.tae.checkpoint import load_checkpoint
+        from baselines.train.data import open_data
+        from baselines.train.pictures import draw_maps
+
+        draw_maps(load_checkpoint(output / chosen)[0], open_data(opened, config).validation, pictures)
     if as_json:
         click.echo(json.dumps(done.checkpoint.to_dict(), indent=2))
         return

@@ -41,7 +41,8 @@ def evaluate(
 ) -> None:
     """Score POLICY on frozen scenarios and print its success rate with a 95 % interval.
 
-    POLICY is my_policy.py, my_policy.py:ClassName, or a built-in name: random, scripted.
+    POLICY is my_policy.py, my_policy.py:ClassName, or a built-in name: random, scripted, tae-joint, tae-separate, and
+    tae, which needs a --checkpoint.
 
     A run that was stopped goes on where it stopped: run the same command again.
     """
@@ -49,6 +50,7 @@ def evaluate(
     from evaluator.cli.progress import StderrProgress
     from evaluator.cli.result import print_result
     from evaluator.policy.loading import check_checkpoint, resolve
+    from evaluator.policy.shipped import shipped_checkpoint
     from evaluator.runner import EvaluationConfig, run_evaluation
 
     spec = resolve(policy)
@@ -57,7 +59,7 @@ def evaluate(
         policy=spec,
         task=task,
         output=output or Path("runs") / name,
-        checkpoint=check_checkpoint(checkpoint),
+        checkpoint=check_checkpoint(checkpoint) or shipped_checkpoint(spec.name),
         device=device,
         protocol=protocol,
         split=split,

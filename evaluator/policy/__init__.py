@@ -3,6 +3,7 @@
 ::
 
     loading   "my_policy.py:Name" or a built-in name  ->  PolicySpec (a file and a class, nothing imported)
+    shipped   a built-in name  ->  the networks that come with the repository
     host      the judge's end: one child process, deadlines, contract checks  ->  answers or counted faults
     child     the policy's end: imports the file and answers batches
     wire      the frames between both ends
@@ -14,6 +15,7 @@ from evaluator.policy.faults import Answer, PolicyFault
 from evaluator.policy.host import PolicyHost, PolicyLimits
 from evaluator.policy.interface import ObservationBatch, Policy, PrivilegedPolicy
 from evaluator.policy.loading import BUILT_INS, PolicySpec, digest, resolve
+from evaluator.policy.shipped import shipped_checkpoint
 
 __all__ = [
     "BUILT_INS",
@@ -27,4 +29,5 @@ __all__ = [
     "PrivilegedPolicy",
     "digest",
     "resolve",
+    "shipped_checkpoint",
 ]

@@ -1,0 +1,118 @@
+"""The networks that come with the repository: ``manifests/checkpoints.json`` names them, with the sha256 of every file.
+
+::
+
+    {"policies": {"tae-joint": {"folder": "rema-v0/joint", "files": {"grasp.safetensors": "<sha256>", ...}}}}
+
+A folder lies below ``checkpoints`` in a folder of releases: that of the downloads, of the package or of a checkout.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+from rema_data.errors import IntegrityError, MissingFileError
+from rema_data.manifests import manifests_dir
+from rema_data.release.folder import downloads_folder, local_sources
+from rema_data.storage import write_atomic
+
+__all__ = ["CHECKPOINTS", "publish_checkpoint", "shipped_checkpoint", "shipped_policies"]
+
+CHECKPOINTS = "checkpoints"
+"""Folder of networks, inside a folder of releases; and, with a suffix, the name of their manifest."""
+
+
+def shipped_policies() -> dict[str, tuple[str, dict[str, str]]]:
+    """Folder, and sha256 of every file in it, of each policy that has networks of its own.
+
+    Raises
+    ------
+    IntegrityError
+        The manifest cannot be read.
+    """
+    path = _manifest()
+    if not path.is_file():
+        return {}
+    try:
+        entries = json.loads(path.read_text(encoding="utf-8"))["policies"]
+        return {name: (str(entry["folder"]), dict(entry["files"])) for name, entry in entries.items()}
+    except (ValueError, KeyError, TypeError) as error:
+        raise IntegrityError(
+            f"the manifest of networks {path} cannot be read",
+            hint="restore it from the repository: git checkout -- manifests",
+            path=str(path),
+        ) from error
+
+
+def shipped_checkpoint(policy: str) -> Path | None:
+    """Folder of the networks of a built-in policy, every file checked; None for a policy that has none.
+
+    Raises
+    ------
+    MissingFileError
+        They are not on this machine.
+    IntegrityError
+        A file is not the one that the manifest names.
+    """
+    entry = shipped_policies().get(policy)
+    if entry is None:
+        return None
+    folder, files = entry
+    for root in (downloads_folder(), *local_sources()):
+        place = root / CHECKPOINTS / folder
+        if all((place / name).is_file() for name in files):
+            _check(place, files)
+            return place.resolve()
+    raise MissingFileError(
+        f"the networks of {policy} ({folder}) are not on this machine",
+        hint="run it in a clone of the repository, which has them under releases/checkpoints; or name others: "
+        "--checkpoint FOLDER",
+        policy=policy,
+    )
+
+
+def publish_checkpoint(policy: str, folder: str, place: Path) -> None:
+    """Enter the networks in ``place`` as those of a policy.
+
+    Parameters
+    ----------
+    policy : str
+    folder : str
+        Below ``checkpoints``.
+    place : Path
+        Where they lie.
+
+    Raises
+    ------
+    StorageError
+        The manifest may not be written.
+    """
+    names = sorted(path.name for path in place.iterdir() if path.suffix in (".safetensors", ".json"))
+    known = shipped_policies() | {policy: (folder, {name: _sha256(place / name) for name in names})}
+    entries = {name: {"folder": where, "files": files} for name, (where, files) in sorted(known.items())}
+    write_atomic(_manifest(), json.dumps({"policies": entries}, indent=1) + "\n")
+
+
+def _manifest() -> Path:
+    return manifests_dir() / f"{CHECKPOINTS}.json"
+
+
+def _check(place: Path, files: Mapping[str, str]) -> None:
+    for name, wanted in files.items():
+        found = _sha256(place / name)
+        if found != wanted:
+            raise IntegrityError(
+                f"{place / name} is not the published one: its sha256 is {found[:12]}..., not {wanted[:12]}...",
+                hint="restore it: git checkout -- releases/checkpoints",
+                path=str(place / name),
+                expected=wanted,
+                found=found,
+            )
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,152 @@
+"""The recursion: stage after stage, skipped where its product is there, and plans that cannot be carried out."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from baselines.rounds.recursion import Stage, recurse
+from baselines.rounds.recursion_plan import load_recursion
+from baselines.tae.checkpoint import load_checkpoint
+from evaluator.runner import ProgressSink, Silent
+from rema_data.errors import InputError, MissingFileError, RunMismatchError
+from rema_data.release.folder import find_release
+from tests.baselines.rounds.fakes import tree
+
+ROOT = Path(__file__).parents[3]
+TINY = ROOT / "examples" / "tiny.toml"
+
+
+class Quiet:
+    """A watcher that remembers stages."""
+
+    sink: ProgressSink = Silent()
+
+    def __init__(self) -> None:
+        self.stages: list[Stage] = []
+
+    def training(self, what: str, updates: int) -> Any:
+        return lambda update, facts: None
+
+    def done(self, stage: Stage) -> None:
+        self.stages.append(stage)
+
+
+def rema(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "REMA_HOME": str(cwd / "home")}
+    command = [sys.executable, "-m", "evaluator.cli", *words]
+    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=400)
+
+
+def test_all_four_rounds_from_the_command_line(tmp_path: Path) -> None:
+    """The example as a user runs it, in two runs; then its product is scored."""
+    first = rema("rounds", str(TINY), "--output", "out", "--stages", "3", cwd=tmp_path)
+    assert first.returncode == 0, first.stderr
+    assert first.stdout.count("done in") == 3
+    sealed = tree(tmp_path / "out" / "tiny-recursion-round-1")
+    done = rema("rounds", str(TINY), "--output", "out", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("was there") == 3 and done.stdout.count("done in") == 7
+    assert tree(tmp_path / "out" / "tiny-recursion-round-1") == sealed
+    release = find_release(tmp_path / "out" / "tiny-recursion")
+    assert {block.round: block.holder for block in release.manifest.blocks} == {
+        1: "tiny-recursion-round-1",
+        2: "tiny-recursion-round-2",
+        3: "tiny-recursion-round-3",
+        4: "tiny-recursion",
+    }
+    assert {block.key.task for block in release.manifest.blocks if block.round == 4} == {
+        "grasp",
+        "push",
+        "grasp_grasp",
+        "grasp_push",
+    }
+    networks = tmp_path / "out" / "checkpoints" / "tiny-recursion"
+    _, about = load_checkpoint(networks / "joint" / "grasp")
+    assert about.release_sha256 == release.manifest.sha256
+    checked = rema("verify", "out/tiny-recursion", cwd=tmp_path)
+    assert checked.returncode == 0, checked.stdout + checked.stderr
+    scored = rema(
+        *("evaluate", "tae-joint", "--checkpoint", str(networks / "joint"), "--task", "grasp_push"),
+        *("--episodes", "6", "--json"),
+        cwd=tmp_path,
+    )
+    assert scored.returncode == 0, scored.stderr
+
+
+def written(folder: Path, *changes: tuple[str, str]) -> Path:
+    text = TINY.read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    path = folder / "plan.toml"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (('name = "tiny-recursion"', 'nom = "x"'), "nom is not a key"),
+        (("tiny-recursion/round-1", "tiny-recursion/round-2"), "no earlier round trains"),
+        (("tiny-recursion/round-1", "elsewhere/round-1"), "no earlier round trains"),
+        (("updates = 60", "epochs = 60"), "a training has no epochs"),
+        (('network = "round-1/grasp"', 'network = "../grasp"'), "names no network"),
+        (('primitive = "grasp"', 'primitive = "throw"'), "throw"),
+        (("{ train = 400, val = 150 }", "{ train = 400, test = 150 }"), "test is not a key"),
+        (('policy = "random"', 'policy = "randon"'), "no policy is called"),
+        (("width = 8", "width = 7"), "width = 7"),
+        (("seed = 1", "seed = -1"), "seed"),
+        (('policy = "random"', "reuse = true"), "lacks its source"),
+    ],
+)
+def test_plans_that_cannot_be_carried_out(tmp_path: Path, change: tuple[str, str], words: str) -> None:
+    """Said before anything is collected, with the file's name."""
+    path = written(tmp_path, change)
+    with pytest.raises(InputError, match=re.escape(words)) as caught:
+        load_recursion(path)
+    assert str(path) in caught.value.message and caught.value.hint
+
+
+def test_a_plan_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(MissingFileError):
+        load_recursion(tmp_path / "plan.toml")
+
+
+def test_the_published_plans_can_be_carried_out() -> None:
+    for path in sorted((ROOT / "manifests" / "plans").glob("rema-v*.toml")):
+        plan = load_recursion(path)
+        assert plan.name == path.stem and plan.rounds[0].release == f"{plan.name}-round-1"
+
+
+def test_a_release_of_another_plan_is_not_taken_for_done(tmp_path: Path) -> None:
+    small = written(tmp_path, ("{ train = 400, val = 150 }", "{ train = 9, val = 3 }"))
+    watcher = Quiet()
+    recurse(load_recursion(small), tmp_path / "out", watcher, stages=1, workers=1)
+    assert [stage.already for stage in watcher.stages] == [False]
+    with pytest.raises(RunMismatchError, match="other episodes"):
+        recurse(load_recursion(TINY), tmp_path / "out", watcher, stages=1)
+
+
+def test_rounds_of_another_recursion_are_shared(tmp_path: Path) -> None:
+    """A recursion that begins with another one's rounds names its releases, and collects from there on."""
+    text = TINY.read_text().replace('name = "tiny-recursion"', 'name = "second"\nbegins_with = "tiny-recursion"')
+    head, first, rest = text.partition("[[rounds]]")
+    second = rest.index("[[rounds]]")
+    path = tmp_path / "second.toml"
+    path.write_text(f"{head}{first}\nreuse = true\n\n{rest[second:]}")
+    plan = load_recursion(path)
+    assert [entry.release for entry in plan.rounds] == [
+        "tiny-recursion-round-1",
+        "second-round-2",
+        "second-round-3",
+        "second",
+    ]
+    with pytest.raises(MissingFileError, match="tiny-recursion-round-1"):
+        recurse(plan, tmp_path / "out", Quiet())

@@ -1,0 +1,50 @@
+"""``rema train`` on the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+import rema_data
+from evaluator.cli.main import cli
+
+
+def command(release: rema_data.Release, output: Path, *more: str) -> list[str]:
+    words = ["train", "--release", str(release.folder.path), "--tasks", "grasp,grasp_push", "--primitive", "grasp"]
+    small = ["--output", str(output), "--updates", "4", "--validate-every", "2", "--width", "4"]
+    return [*words, *small, *more]
+
+
+@pytest.fixture(autouse=True)
+def _home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("REMA_HOME", str(tmp_path / "home"))
+
+
+def test_a_network_with_its_card_and_pictures(release: rema_data.Release, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    picture = tmp_path / "maps.png"
+    done = CliRunner().invoke(cli, command(release, tmp_path / "out", "--pictures", str(picture)))
+    assert done.exit_code == 0, done.output
+    assert "grasp.safetensors is trained: validation AUC" in done.stdout
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    again = CliRunner().invoke(cli, command(release, tmp_path / "out", "--json"))
+    assert again.exit_code == 0 and json.loads(again.stdout)["architecture"]["width"] == 4
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (("--skills", "push"), "skill push"),
+        (("--learning-rate", "0"), "learning_rate"),
+        (("--tasks", "juggle"), "juggle"),
+        (("--release", "nowhere"), "nowhere"),
+        (("--updates", "0"), "updates"),
+    ],
+)
+def test_bad_input_is_named(release: rema_data.Release, tmp_path: Path, more: tuple[str, ...], words: str) -> None:
+    done = CliRunner().invoke(cli, command(release, tmp_path / "out", *more))
+    assert done.exit_code == 2 and words in done.output
+    assert not (tmp_path / "out").exists()

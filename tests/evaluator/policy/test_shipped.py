@@ -1,0 +1,73 @@
+"""The networks of the built-in policies: found, checked, and asked for by name where they are missing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from evaluator.policy.shipped import publish_checkpoint, shipped_checkpoint, shipped_policies
+from rema_data.errors import IntegrityError, MissingFileError
+
+
+@pytest.fixture
+def networks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of networks in a working folder with releases, published as those of tae-joint."""
+    (tmp_path / "manifests").mkdir()
+    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
+    monkeypatch.setenv("REMA_HOME", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "releases" / "checkpoints" / "mine" / "joint"
+    folder.mkdir(parents=True)
+    for name in ("grasp.safetensors", "grasp.json", "grasp.metrics.jsonl"):
+        (folder / name).write_text(name)
+    publish_checkpoint("tae-joint", "mine/joint", folder)
+    return folder
+
+
+def test_found_and_checked(networks: Path) -> None:
+    assert shipped_checkpoint("tae-joint") == networks
+    assert set(shipped_policies()["tae-joint"][1]) == {"grasp.safetensors", "grasp.json"}
+    assert shipped_checkpoint("random") is None and shipped_checkpoint("tae") is None
+
+
+def test_another_policy_is_entered_beside_it(networks: Path) -> None:
+    before = shipped_policies()["tae-joint"]
+    publish_checkpoint("tae-separate", "mine/separate", networks)
+    assert shipped_policies() == {"tae-joint": before, "tae-separate": ("mine/separate", before[1])}
+
+
+def test_a_changed_file(networks: Path) -> None:
+    (networks / "grasp.safetensors").write_text("other")
+    with pytest.raises(IntegrityError, match=r"grasp\.safetensors is not the published one") as caught:
+        shipped_checkpoint("tae-joint")
+    assert "git checkout" in caught.value.hint
+
+
+def test_a_missing_file(networks: Path) -> None:
+    (networks / "grasp.json").unlink()
+    with pytest.raises(MissingFileError, match="tae-joint") as caught:
+        shipped_checkpoint("tae-joint")
+    assert "--checkpoint" in caught.value.hint
+
+
+@pytest.mark.parametrize("content", ["{", '{"policies": {"tae-joint": {}}}', "[]"])
+def test_a_damaged_manifest(networks: Path, tmp_path: Path, content: str) -> None:
+    (tmp_path / "manifests" / "checkpoints.json").write_text(content)
+    with pytest.raises(IntegrityError, match="cannot be read"):
+        shipped_policies()
+
+
+def test_no_manifest_no_networks(networks: Path, tmp_path: Path) -> None:
+    (tmp_path / "manifests" / "checkpoints.json").unlink()
+    assert shipped_checkpoint("tae-joint") is None
+
+
+def test_the_published_networks_are_whole() -> None:
+    """What this repository names is in it, to the byte."""
+    for policy in shipped_policies():
+        folder = shipped_checkpoint(policy)
+        assert folder is not None
+        for card in folder.glob("*.json"):
+            assert json.loads(card.read_text())["format"].startswith("rema tae checkpoint")
