@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import click
 
 from rema_data.schema import TASKS
@@ -12,15 +14,33 @@ from rema_data.schema import TASKS
 @click.option("--task", "tasks", multiple=True, type=click.Choice(list(TASKS)), help="Only these (repeatable).")
 @click.option("--test", "test_count", default=10_000, show_default=True, help="Scenarios in each test list.")
 @click.option("--val", "val_count", default=2_000, show_default=True, help="Scenarios in each validation list.")
+@click.option("--picker", help="Policy that picks the tools, such as tae.  [default: the reference picks]")
+@click.option("--checkpoint", type=click.Path(path_type=Path), help="Its networks.")
 @click.option("--workers", default=0, help="Processes; as many as there are cores by default.")
-def scenarios(version: str, tasks: tuple[str, ...], test_count: int, val_count: int, workers: int) -> None:
+def scenarios(
+    version: str,
+    tasks: tuple[str, ...],
+    test_count: int,
+    val_count: int,
+    picker: str | None,
+    checkpoint: Path | None,
+    workers: int,
+) -> None:
     """Draw scenario lists under manifests/scenarios/VERSION. A list that is already there is never changed."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from evaluator.engines import default_workers
-    from evaluator.generate import write_lists
+    from evaluator.generate import Picker, write_lists
+    from evaluator.policy.loading import check_checkpoint, resolve
+    from evaluator.policy.shipped import shipped_checkpoint
+    from evaluator.scenarios import manifest_path
 
+    chosen = None
+    if picker is not None:
+        spec = resolve(picker)
+        weights = check_checkpoint(checkpoint) or shipped_checkpoint(spec.name)
+        chosen = Picker(spec, weights, manifest_path(version).with_name("policy.log"))
     counts = {"test": test_count, "val": val_count}
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bars:
@@ -31,5 +51,5 @@ def scenarios(version: str, tasks: tuple[str, ...], test_count: int, val_count: 
                 rows[name] = bars.add_task(name, total=counts[name.rpartition("/")[2]])  # type: ignore[assignment]
             bars.update(rows[name], completed=done)  # type: ignore[arg-type]
 
-        path = write_lists(version, tasks or tuple(TASKS), counts, workers or default_workers(), advance)
+        path = write_lists(version, tasks or tuple(TASKS), counts, workers or default_workers(), advance, chosen)
     click.echo(path)
