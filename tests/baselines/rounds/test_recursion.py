@@ -122,7 +122,8 @@ def test_a_plan_that_is_not_there(tmp_path: Path) -> None:
 def test_the_published_plans_can_be_carried_out() -> None:
     for path in sorted((ROOT / "manifests" / "plans").glob("rema-v*.toml")):
         plan = load_recursion(path)
-        assert plan.name == path.stem and plan.rounds[0].release == f"{plan.name}-round-1"
+        assert plan.name == path.stem == plan.rounds[-1].release
+        assert set(plan.policies) == {"tae-joint", "tae-separate"}
 
 
 def test_a_release_of_another_plan_is_not_taken_for_done(tmp_path: Path) -> None:
