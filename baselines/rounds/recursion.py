@@ -27,7 +27,7 @@ from rema_data.storage import write_atomic
 __all__ = ["Stage", "Watcher", "publish", "recurse"]
 
 COSTS = "stages.json"
-"""Beside the networks: what every stage took on the machine that did it."""
+"""Beside the networks: what every stage took on the machine that finished it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +193,7 @@ class _Recursion:
         return load(self.releases / entry.release)
 
     def finished(self, number: int, what: str, already: bool, started: float) -> Stage:
-        """Note what a stage took; interrupted runs of it add up."""
+        """Note what the run that finished a stage spent on it."""
         stage = Stage(number, what, already, time.perf_counter() - started)
         if not already:
             path = self.networks / COSTS
