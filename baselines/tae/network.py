@@ -95,20 +95,19 @@ class TaeNetwork(nn.Module):
     ----------
     architecture : Architecture
     generator : torch.Generator, optional
-        Draws the initial weights (Kaiming-normal); without it they are torch's own, to be replaced by a checkpoint's.
+        Draws the initial weights (Kaiming-normal); by default one with the seed 0.
     """
 
     def __init__(self, architecture: Architecture | None = None, generator: torch.Generator | None = None) -> None:
         super().__init__()
         self.architecture = architecture or Architecture()
-        with torch.random.fork_rng(devices=[]):  # torch draws weights of its own, from its global generator
-            self._build(self.architecture)
-        if generator is not None:
-            for layer in self.modules():
-                if isinstance(layer, nn.Conv2d):
-                    nn.init.kaiming_normal_(layer.weight, nonlinearity="relu", generator=generator)
-                    if layer.bias is not None:
-                        nn.init.zeros_(layer.bias)
+        self._build(self.architecture)
+        random = torch.Generator().manual_seed(0) if generator is None else generator
+        for layer in self.modules():
+            if isinstance(layer, nn.Conv2d):
+                nn.init.kaiming_normal_(layer.weight, nonlinearity="relu", generator=random)
+                if layer.bias is not None:
+                    nn.init.zeros_(layer.bias)
 
     def _build(self, architecture: Architecture) -> None:
         wide, corners = architecture.width, architecture.up_align_corners
@@ -145,7 +144,7 @@ class TaeNetwork(nn.Module):
             _conv(wide, half),
             _Doubled(corners),
             _Residual(half),
-            nn.Conv2d(half, 2, 1, bias=False),
+            _plain(half, 2, kernel=1, bias=False),
         )
 
     def placed(self, device: torch.device | str) -> TaeNetwork:
@@ -188,10 +187,10 @@ class _Residual(nn.Module):
     def __init__(self, channels: int) -> None:
         super().__init__()
         self.body = nn.Sequential(
-            nn.Conv2d(channels, channels, 3, padding=1, bias=False),
+            _plain(channels, channels, bias=False),
             nn.BatchNorm2d(channels),
             nn.ReLU(),
-            nn.Conv2d(channels, channels, 3, padding=1, bias=False),
+            _plain(channels, channels, bias=False),
             nn.BatchNorm2d(channels),
         )
 
@@ -212,12 +211,11 @@ class _Doubled(nn.Module):
 
 def _conv(inputs: int, outputs: int, kernel: int = 3, stride: int = 1) -> nn.Sequential:
     """Convolution, batch normalisation, ReLU."""
-    return nn.Sequential(
-        nn.Conv2d(inputs, outputs, kernel, stride, padding=kernel // 2, bias=False),
-        nn.BatchNorm2d(outputs),
-        nn.ReLU(),
-    )
+    return nn.Sequential(_plain(inputs, outputs, kernel, stride, bias=False), nn.BatchNorm2d(outputs), nn.ReLU())
 
 
-def _plain(inputs: int, outputs: int, kernel: int = 3) -> nn.Conv2d:
-    return nn.Conv2d(inputs, outputs, kernel, padding=kernel // 2)
+def _plain(inputs: int, outputs: int, kernel: int = 3, stride: int = 1, bias: bool = True) -> nn.Conv2d:
+    """A convolution without weights yet: torch would draw them from its global generator."""
+    options = {"stride": stride, "padding": kernel // 2, "bias": bias}
+    made: nn.Conv2d = nn.utils.skip_init(nn.Conv2d, inputs, outputs, kernel, **options)  # type: ignore[no-untyped-call]
+    return made

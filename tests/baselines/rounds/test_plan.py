@@ -122,7 +122,9 @@ def test_no_edit_makes_a_plan_raise_anything_else(tmp_path: Path, at: int, cut: 
         assert plan.blocks and all(block.episodes > 0 for block in plan.blocks)
 
 
-@pytest.mark.parametrize("name", ["examples/collect_plan.toml", *map(str, (ROOT / "manifests/plans").glob("*.toml"))])
+@pytest.mark.parametrize(
+    "name", ["examples/collect_plan.toml", "manifests/plans/rema-mini.toml", "manifests/plans/rema-sample.toml"]
+)
 def test_the_plans_that_come_with_rema(name: str) -> None:
     plan = load_plan(ROOT / name)
     assert plan.about.license == "CC-BY-4.0"
