@@ -33,7 +33,6 @@ from rema_data.statistics.count import count
 from rema_data.statistics.plot import plot_rounds
 
 PAGE = ROOT / "docs" / "baselines.md"
-IMAGES = ROOT / "docs" / "images"
 PUBLISHED = json.loads((ROOT / "manifests" / "published" / "table2.json").read_text())["success_percent"]
 PAPER_BY_ROUND = {1: 51.0, 2: 88.0}
 """Grasp, percent: the only rates after a round that the paper's text names (section 4.4)."""
@@ -183,18 +182,19 @@ def costs_table(plan: RecursionPlan) -> str:
     return markdown(["round", "stage", "minutes, two cores"], rows)
 
 
-def page(plan: RecursionPlan) -> str:
+def page(plan: RecursionPlan, images: Path) -> str:
     """The whole page; draws its figures."""
+    images.mkdir(exist_ok=True)
     runs = summaries()
     found = by_round(runs, plan)
-    draw_rounds(found, plan, IMAGES / "success_by_round.png")
+    draw_rounds(found, plan, images / "success_by_round.png")
     newest = next(
         entry.release
         for entry in reversed(plan.rounds)
         if (ROOT / "releases" / entry.release / "manifest.json").is_file()
     )
     release = find_release(ROOT / "releases" / newest)
-    plot_rounds(count(release), IMAGES / "data_by_round.png")
+    plot_rounds(count(release), images / "data_by_round.png")
     counts = release.manifest.counts
     parts = [
         TITLE,
@@ -231,12 +231,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", nargs="*", type=Path, default=[])
     parser.add_argument("--plan", type=Path, default=ROOT / "manifests" / "plans" / "rema-v0.toml")
+    parser.add_argument("--page", type=Path, default=PAGE)
     arguments = parser.parse_args()
     kept = RESULTS / "runs"
     for run in arguments.runs:
         shutil.copyfile(run / "summary.json", kept / f"{run.name}.json")
-    PAGE.write_text(page(load_recursion(arguments.plan.resolve())), encoding="utf-8")
-    print(PAGE)
+    made = page(load_recursion(arguments.plan.resolve()), arguments.page.parent / "images")
+    arguments.page.write_text(made, encoding="utf-8")
+    print(arguments.page)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Every number of docs/calibration.md and docs/performance.md, from nothing, in order. Hours on two cores; every step can be
-# stopped and run again. Run it alone on the machine: most of it measures time.
+# Every number of docs/calibration.md, docs/performance.md and docs/baselines.md, from nothing, in order. Many hours on two
+# cores; every step can be stopped and run again. Run it alone on the machine: most of it measures time.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 results=benchmarks/results
@@ -29,5 +29,15 @@ python benchmarks/sampler.py --json $results/sampler.json
 python benchmarks/size.py --json $results/size.json
 python benchmarks/read.py --json $results/read.json # pip install minari==0.5.4 datasets==5.2.0 pillow
 python benchmarks/download.py --json $results/download.json # with nginx on the path
+python benchmarks/robomimic_reader.py --json $results/robomimic_reader.json # pip install robomimic, see the script
+
+rema rounds manifests/plans/rema-v0.toml # stages that are done are kept
+for round in 1 2; do
+  rema evaluate tae --checkpoint "releases/checkpoints/rema-v0/round-$round" --task grasp \
+    --output "runs/round-$round-grasp-conditional"
+done
+python benchmarks/baselines.py --runs runs/*
+python benchmarks/train.py --json $results/train.json
+python benchmarks/infer.py --checkpoint releases/checkpoints/rema-v0/joint --runtimes --json $results/infer.json
 python benchmarks/report.py
 python benchmarks/gallery.py

@@ -135,13 +135,14 @@ def main() -> int:
     options.add_argument("--release", default="rema-mini")
     options.add_argument("--device", default="cpu")
     options.add_argument("--batches", default="8", help="batch sizes (default 8)")
+    options.add_argument("--primitives", default="grasp,push")
     options.add_argument("--updates", type=int, default=20, help="of a turn (default 20)")
     options.add_argument("--repeats", type=int, default=3, help="turns of each way (default 3)")
     arguments = options.parse_args()
     found = [
         measure(arguments, int(size), primitive)
         for size in arguments.batches.split(",")
-        for primitive in ("grasp", "push")
+        for primitive in arguments.primitives.split(",")
     ]
     table = Table("primitive", "batch", "way", "samples/s", "each turn", "waiting for data", title="training")
     pick: Callable[[list[float]], float] = median

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
 from baselines.rounds.collect import collect
+from baselines.rounds.plan import BlockPlan
 from baselines.rounds.recursion_plan import NetworkPlan, RecursionPlan, RoundPlan
 from baselines.train.loop import Report, train, trained
 from evaluator.policy.shipped import CHECKPOINTS, publish_checkpoint
@@ -20,7 +23,7 @@ from evaluator.runner import ProgressSink
 from rema_data.errors import MissingFileError, RunMismatchError
 from rema_data.loader.release import Release, load
 from rema_data.release.folder import ReleaseFolder
-from rema_data.release.manifest import MANIFEST, parse_manifest
+from rema_data.release.manifest import MANIFEST, BlockEntry, parse_manifest
 from rema_data.release.registry import register
 from rema_data.storage import write_atomic
 
@@ -102,8 +105,10 @@ def recurse(
     recursion = _Recursion(plan, releases, watcher, workers, device)
     done: list[Stage] = []
     for entry in plan.rounds:
-        for work in (recursion.collect, *((lambda e, n=network: recursion.train(e, n)) for network in entry.networks)):
-            stage = work(entry)
+        work: list[Callable[[RoundPlan], Stage]] = [recursion.collect]
+        work += [partial(recursion.train, network=network) for network in entry.networks]
+        for carry_out in work:
+            stage = carry_out(entry)
             done.append(stage)
             watcher.done(stage)
             if stages is not None and sum(not stage.already for stage in done) >= stages:
@@ -162,16 +167,9 @@ class _Recursion:
             return None
         manifest = parse_manifest(path.read_bytes(), str(path))
         if entry.collection is not None:
-            wanted = {
-                (block.key, block.episodes, "+".join(dict.fromkeys(use.spec.name for use in block.policies)))
-                for block in self.plan.collection(entry.number, self.releases).blocks
-            }
-            found = {
-                (block.key, block.episodes, "+".join(dict.fromkeys(name for name in block.policies if name)))
-                for block in manifest.blocks
-                if block.round == entry.number
-            }
-            if wanted != found:
+            blocks = {block.key: block for block in manifest.blocks if block.round == entry.number}
+            planned = self.plan.collection(entry.number, self.releases).blocks
+            if len(blocks) != len(planned) or not all(_fits(block, blocks.get(block.key)) for block in planned):
                 raise RunMismatchError(
                     f"{path.parent} holds other episodes than round {entry.number} of {self.plan.path}",
                     hint="give the plan another name, or choose another folder with --output",
@@ -201,3 +199,11 @@ class _Recursion:
             costs[what] = {"round": number, "seconds": round(stage.seconds, 1)}
             write_atomic(path, json.dumps(costs, indent=1) + "\n")
         return stage
+
+
+def _fits(planned: BlockPlan, block: BlockEntry | None) -> bool:
+    """Whether a block holds what is planned; a step that no episode reached has no policy."""
+    if block is None or block.episodes != planned.episodes:
+        return False
+    names = [use.spec.name for use in planned.policies]
+    return all(found in ("", name) for name, found in zip(names, block.policies, strict=True))

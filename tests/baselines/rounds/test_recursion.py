@@ -54,6 +54,8 @@ def test_all_four_rounds_from_the_command_line(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("was there") == 3 and done.stdout.count("done in") == 7
     assert tree(tmp_path / "out" / "tiny-recursion-round-1") == sealed
+    again = rema("rounds", str(TINY), "--output", "out", cwd=tmp_path)
+    assert again.returncode == 0 and again.stdout.count("was there") == 10, again.stderr
     release = find_release(tmp_path / "out" / "tiny-recursion")
     assert {block.round: block.holder for block in release.manifest.blocks} == {
         1: "tiny-recursion-round-1",

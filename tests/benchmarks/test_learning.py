@@ -1,0 +1,48 @@
+"""The benchmarks of training and inference run, in a reduced size, and compare what they say they compare."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from baselines.tae.checkpoint import Checkpoint, save_checkpoint
+from baselines.tae.correlation import cross_convolve
+from baselines.tae.network import Architecture, TaeNetwork
+from tests.benchmarks.test_benchmarks import ROOT, measured, run
+
+sys.path.insert(0, str(ROOT))
+from benchmarks.train import looped
+
+
+def test_the_straightforward_way_computes_the_same() -> None:
+    features, kernels = torch.rand(3, 2, 16, 16), torch.rand(3, 2, 28, 28)
+    torch.testing.assert_close(looped(features, kernels), cross_convolve(features, kernels))
+
+
+def test_training(tmp_path: Path) -> None:
+    words = ("--release", "rema-sample", "--updates", "1", "--repeats", "1", "--primitives", "push")
+    (found,) = measured(tmp_path, "train", *words, REMA_HOME=str(tmp_path / "home"))["numbers"]["found"]
+    assert set(found["speeds"]) == {"ours", "straightforward"} and found["ratio"] > 0
+    assert 0 < found["waits"]["ours"][0] < 1
+
+
+def test_inference(tmp_path: Path) -> None:
+    small = Architecture(width=8)
+    for name in ("grasp", "push"):
+        about = Checkpoint(name, (name,), small, "tiny", "0" * 64)
+        save_checkpoint(tmp_path / "networks", name, TaeNetwork(small).state_dict(), about)
+    words = ("--checkpoint", str(tmp_path / "networks"), "--tasks", "grasp,grasp_grasp", "--scenarios", "16")
+    rows = measured(tmp_path, "infer", *words, "--repeats", "1")["numbers"]["found"]
+    assert [(row["task"], row["of"]) for row in rows] == [("grasp", 16), ("grasp_grasp", 16)]
+    assert all(row["equal"] >= 15 for row in rows)  # rounding may decide a tie
+
+
+def test_the_page_of_the_baselines_is_made_from_what_is_committed(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    done = run("baselines", "--page", str(tmp_path / "baselines.md"))
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "baselines.md").read_text() == (ROOT / "docs" / "baselines.md").read_text()
+    assert (tmp_path / "images" / "success_by_round.png").read_bytes().startswith(b"\x89PNG")
