@@ -10,12 +10,14 @@ angle. The paper's network, which sees the end effector too, is another and larg
 from __future__ import annotations
 
 import argparse
+import sys
 
 import torch
 from torch import nn
 
 import rema_data
 from rema_data.augment import translate
+from rema_data.errors import RemaError
 from rema_data.grid import ANGLES
 
 
@@ -40,11 +42,18 @@ def main() -> None:
     parser.add_argument("--batch-size", type=int, default=32)
     parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args()
+    try:
+        train(options)
+    except RemaError as error:  # with the edit or the command that mends it
+        print(error, file=sys.stderr)
+        sys.exit(error.exit_code)
 
+
+def train(options: argparse.Namespace) -> None:
     release = rema_data.load(options.release)
-    train = release.steps(tasks=["grasp"], split="train")
-    sampler = rema_data.BalancedSampler(train, batch_size=options.batch_size, by=("success",), seed=0)
-    loader = torch.utils.data.DataLoader(train, batch_sampler=sampler, num_workers=options.workers)
+    dataset = release.steps(tasks=["grasp"], split="train")
+    sampler = rema_data.BalancedSampler(dataset, batch_size=options.batch_size, by=("success",), seed=0)
+    loader = torch.utils.data.DataLoader(dataset, batch_sampler=sampler, num_workers=options.workers)
     print(sampler.describe())
 
     random = torch.Generator().manual_seed(0)  # every draw has a generator of its own: nothing global is touched

@@ -94,7 +94,11 @@ def decode_heights(stored: Heights) -> npt.NDArray[np.int16]:
     top = int(stored.max()) if stored.size else 0
     if top > np.iinfo(np.int16).max:
         what = "a value is missing" if top == MISSING else f"the value {top} is no height"
-        raise IntegrityError(f"in a height map {what}", hint="run `rema verify` to find the damaged file", value=top)
+        raise IntegrityError(
+            f"in a height map {what}",
+            hint="find the damaged file: `rema verify`, with the name or the folder of the release",
+            value=top,
+        )
     return stored.view(np.int16) - np.int16(HEIGHT_OFFSET_STEPS)
 
 

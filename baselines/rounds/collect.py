@@ -21,6 +21,7 @@ from evaluator.runner import Backend, ProgressSink, Silent, default_backend
 from rema_data.errors import InputError, PolicyFailureError, RunMismatchError
 from rema_data.release.folder import ReleaseFolder, find_release
 from rema_data.release.manifest import MANIFEST, parse_manifest
+from rema_data.release.registry import load_published, published
 from rema_data.release.seal import seal
 from rema_data.schema import SCHEMA_VERSION
 from rema_data.store.block import BlockKey, BlockWriter
@@ -73,7 +74,7 @@ def collect(
     Raises
     ------
     RunMismatchError
-        There is another release of that name, or episodes of another plan.
+        There is another release of that name, here or among the published ones, or episodes of another plan.
     InputError
         Another process is collecting it, or the parent does not have a round.
     SubmissionError, PolicyFailureError
@@ -175,10 +176,27 @@ class _Collection:
             )
         return Collected(ReleaseFolder(manifest, self.output), already=True)
 
+    def check_name(self) -> None:
+        """Raise where the name is that of a published release which this plan has not made.
+
+        Raises
+        ------
+        RunMismatchError
+        """
+        name = self.plan.about.name
+        if name in {entry.name for entry in published()} and load_published(name).plan_sha256 != self.plan_sha256():
+            raise RunMismatchError(
+                f"{self.plan.path}: {name} is a published release, made by another plan, policy or simulator",
+                hint="give the plan another name",
+                path=str(self.plan.path),
+                name=name,
+            )
+
     def run(self, engine: str, workers: int | None) -> Collected:
         if (found := self.sealed()) is not None:
             shutil.rmtree(self.work, ignore_errors=True)
             return found
+        self.check_name()
         # Episodes made by other code must not be mixed; a finished release is not affected by it.
         identity = self.data_identity() | {"code": self.backend.observation_hash}
         with WorkFolder.locked(self.work, identity) as work:

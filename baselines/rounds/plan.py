@@ -5,7 +5,7 @@
     name = "my-release"
     title = "..."
     description = "..."
-    license = "CC-BY-4.0"
+    license = "CC-BY-4.0"                       # SPDX identifier
     citation = "..."
     published = "2030-01-31"                    # optional: the day
     seed = 1
@@ -43,6 +43,7 @@ from typing import Any
 from evaluator.policy.loading import PolicySpec, check_checkpoint, resolve
 from evaluator.policy.shipped import shipped_checkpoint
 from rema_data.errors import InputError, MissingFileError, RemaError
+from rema_data.release.licences import KNOWN_LICENCES
 from rema_data.release.manifest import check_name
 from rema_data.release.seal import Description
 from rema_data.schema import TASKS
@@ -180,6 +181,9 @@ class _Reader:
             check_name(texts["name"])
         except InputError as error:
             raise self._wrong("name", error.message, error.hint) from error
+        if texts["license"] not in KNOWN_LICENCES:
+            hint = f"give an SPDX identifier: {', '.join(KNOWN_LICENCES)}"
+            raise self._wrong("license", f"is {texts['license']!r}, which is not known here", hint)
         seed = self._whole("seed", self._get("", content, "seed"), 0, 2**63 - 1)
         sources = content.get("sources", [])
         if not isinstance(sources, list) or not all(isinstance(url, str) and url for url in sources):

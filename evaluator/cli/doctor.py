@@ -22,10 +22,11 @@ _MB = 1e6
 
 @click.command()
 @click.option("--seconds", default=1.0, show_default=True, type=click.FloatRange(0, 60), help="Of each reading test.")
+@click.option("--check-caches", is_flag=True, help="Read every byte of the decoded caches, too.")
 @click.option("--prune", is_flag=True, help="Delete caches of no use, and partial downloads.")
 @click.option("--json", "as_json", is_flag=True, help="Print one object.")
 @click.pass_context
-def doctor(ctx: click.Context, seconds: float, prune: bool, as_json: bool) -> None:
+def doctor(ctx: click.Context, seconds: float, check_caches: bool, prune: bool, as_json: bool) -> None:
     """Check versions, the home folder, releases and caches, and read the newest release for a few seconds.
 
     Exit code 6 where something is wrong. --seconds 0 leaves the reading out.
@@ -33,7 +34,7 @@ def doctor(ctx: click.Context, seconds: float, prune: bool, as_json: bool) -> No
     from rema_data.doctor import diagnose
     from rema_data.doctor import prune as delete
 
-    found = diagnose(seconds, lambda text: click.echo(text, err=True))
+    found = diagnose(seconds, lambda text: click.echo(text, err=True), check_caches)
     if prune:
         for item in delete(found.disposable):
             click.echo(f"deleted {item.path} ({item.state}, {_megabytes(item.bytes)} MB)", err=True)

@@ -120,7 +120,7 @@ def _missing(found: Statistics) -> str:
     names = ", ".join(listed) + (", ..." if len(found.missing) > len(listed) else "")
     return (
         f"not counted: {len(found.missing)} blocks with {episodes:,} episodes that are not on this machine ({names}). "
-        f"Fetch them: rema download {found.release}"
+        f"{found.mend[:1].upper()}{found.mend[1:]}"
     )
 
 

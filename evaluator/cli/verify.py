@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rema_data.errors import IntegrityError
+from rema_data.errors import InputError, IntegrityError
 from rema_data.schema import TASKS
 from rema_data.store.block import SPLITS
 
@@ -29,6 +29,13 @@ _MENDS = 10
 @click.option("--round", "rounds", multiple=True, type=click.IntRange(min=1), help="Only this one (repeatable).")
 @click.option("--split", type=click.Choice(list(SPLITS)), help="Only this one.")
 @click.option("--repair", is_flag=True, help="Fetch damaged files of a downloaded release again.")
+@click.option(
+    "--source",
+    "sources",
+    multiple=True,
+    metavar="URL",
+    help="With --repair: folder of releases to ask first, as of `rema download` (repeatable).",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one object.")
 @click.pass_context
 def verify(
@@ -38,6 +45,7 @@ def verify(
     rounds: tuple[int, ...],
     split: str | None,
     repair: bool,
+    sources: tuple[str, ...],
     as_json: bool,
 ) -> None:
     """Check every byte and every invariant of RELEASE; exit code 6 where something is wrong.
@@ -48,6 +56,10 @@ def verify(
     from rema_data.release.folder import find_release
     from rema_data.verify import verify as check
 
+    if sources and not repair:
+        raise InputError(
+            "--source is for --repair: nothing else is fetched", hint="add --repair, or leave --source out"
+        )
     found = find_release(release)
 
     def run() -> Report:
@@ -58,7 +70,7 @@ def verify(
     if repair and report.damaged:
         from rema_data.verify.repair import repair as mend
 
-        mend(found, report)
+        mend(found, report, sources)
         click.echo(f"fetched {len(report.damaged)} files again", err=True)
         report = run()
     if as_json:

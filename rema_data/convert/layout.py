@@ -120,7 +120,7 @@ def to_array(values: pa.ChunkedArray, column: Column) -> Array:
         if pc.any(blank).as_py():
             raise IntegrityError(
                 f"column {column.name} holds a value that is no value",
-                hint="run `rema verify` on the release",
+                hint="find the damaged file: `rema verify`, with the name or the folder of the release",
                 column=column.name,
             )
     if column.type != "string":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 from rema_data.doctor.disposable import PARTIAL, READY, Disposable, disposables
@@ -12,6 +13,7 @@ from rema_data.doctor.speed import Speed, measure
 from rema_data.doctor.versions import PackageVersion, package_versions
 from rema_data.errors import RemaError
 from rema_data.loader.decode import map_rows, row_bytes
+from rema_data.loader.record import has_digests
 from rema_data.loader.release import Release
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.registry import SAMPLE
@@ -70,7 +72,9 @@ class Diagnosis:
         }
 
 
-def diagnose(read_seconds: float = 1.0, note: Callable[[str], None] = lambda text: None) -> Diagnosis:
+def diagnose(
+    read_seconds: float = 1.0, note: Callable[[str], None] = lambda text: None, contents: bool = False
+) -> Diagnosis:
     """Look at this machine.
 
     Parameters
@@ -80,17 +84,24 @@ def diagnose(read_seconds: float = 1.0, note: Callable[[str], None] = lambda tex
         cache, as training would.
     note : callable
         Called with a line of what is done next, where it takes time.
+    contents : bool
+        Read every byte of the decoded caches, and compare it with what was written.
     """
     state, releases = home(), local_releases()
     problems = list(_problems(package_versions(), state, releases))
+    if contents:
+        note("checking the content of the decoded caches")
+    found = disposables(releases, contents)
+    wrong = list(_damaged_caches(found))
+    problems += wrong
     chosen, speeds = _newest(releases), list[Speed]()
-    if chosen is not None and read_seconds > 0:
+    if chosen is not None and read_seconds > 0 and not wrong:
         note(f"reading {chosen.manifest.name} (decoded first, where it has not been)")
         try:
             speeds = list(measure(Release(chosen), read_seconds))
         except RemaError as error:
             problems.append(f"{chosen.manifest.name} cannot be read: {error}")
-    found = disposables(releases)
+        found = disposables(releases)  # with the cache that may have been built
     return Diagnosis(
         package_versions(),
         state,
@@ -99,7 +110,7 @@ def diagnose(read_seconds: float = 1.0, note: Callable[[str], None] = lambda tex
         chosen.manifest.name if chosen is not None and speeds else "",
         speeds,
         problems,
-        list(_advice(state, releases, found, speeds)),
+        [*_advice(state, releases, found, speeds), *(_unknown_caches(found) if contents else ())],
     )
 
 
@@ -125,6 +136,24 @@ def _problems(versions: Sequence[PackageVersion], state: Home, releases: Sequenc
     for release in releases:
         if not release.ok:
             yield f"{release.path}: {release.identity}; find out more: rema verify {release.path}"
+
+
+def _damaged_caches(found: Sequence[Disposable]) -> Iterator[str]:
+    for item in found:
+        if item.damaged:
+            yield (
+                f"the decoded cache {item.path} is damaged ({', '.join(item.damaged)}): "
+                "rema doctor --check-caches --prune deletes it, and opening the release builds it anew"
+            )
+
+
+def _unknown_caches(found: Sequence[Disposable]) -> Iterator[str]:
+    for item in found:
+        if item.state == READY and not has_digests(Path(item.path)):
+            yield (
+                f"the content of the decoded cache {item.path} cannot be checked: an earlier rema made it; one built "
+                f"anew can: rm -r '{item.path}'"
+            )
 
 
 def _advice(

@@ -9,7 +9,8 @@ from pathlib import Path
 
 from rema_data.doctor.places import ReleaseState
 from rema_data.download.part import SUFFIX
-from rema_data.loader.cache import cache_name, caches_folder, is_whole
+from rema_data.loader.cache import cache_name, caches_folder
+from rema_data.loader.record import damaged_files, is_whole
 from rema_data.release.folder import downloads_folder
 from rema_data.storage import storage_errors
 
@@ -33,6 +34,8 @@ class Disposable:
     bytes : int
     lock : str
         The lock file that a process holds while it works on it.
+    damaged : tuple of str
+        Of a cache whose content was checked: files that are not what was written.
     """
 
     path: str
@@ -40,10 +43,18 @@ class Disposable:
     state: str
     bytes: int
     lock: str
+    damaged: tuple[str, ...] = ()
 
 
-def disposables(releases: Iterable[ReleaseState]) -> tuple[Disposable, ...]:
-    """Decoded caches and partial downloads below ``REMA_HOME``, judged by the releases that are here."""
+def disposables(releases: Iterable[ReleaseState], contents: bool = False) -> tuple[Disposable, ...]:
+    """Decoded caches and partial downloads below ``REMA_HOME``, judged by the releases that are here.
+
+    Parameters
+    ----------
+    releases : iterable of ReleaseState
+    contents : bool
+        Read every byte of the ready caches, too.
+    """
     ready, names = {}, {}
     for state in releases:
         if state.folder is not None:
@@ -52,10 +63,10 @@ def disposables(releases: Iterable[ReleaseState]) -> tuple[Disposable, ...]:
     caches, downloads = caches_folder(), downloads_folder()
     folders = sorted(path for path in caches.iterdir() if path.is_dir()) if caches.is_dir() else []
     parts = sorted(downloads.glob(f"*/**/*{SUFFIX}")) if downloads.is_dir() else []
-    return (*(_cache(path, ready, names) for path in folders), *(_partial(path, downloads) for path in parts))
+    return (*(_cache(path, ready, names, contents) for path in folders), *(_partial(path, downloads) for path in parts))
 
 
-def _cache(path: Path, ready: dict[str, str], names: dict[str, str]) -> Disposable:
+def _cache(path: Path, ready: dict[str, str], names: dict[str, str], contents: bool) -> Disposable:
     name = path.name.removeprefix(".").partition(".")[0]
     release = names.get(name.partition("-")[0], "")
     if path.name.startswith("."):
@@ -66,8 +77,11 @@ def _cache(path: Path, ready: dict[str, str], names: dict[str, str]) -> Disposab
         state = READY
     else:
         state = OLD if release else ORPHAN
+    wrong = damaged_files(path) if contents and state == READY else ()
+    if wrong:
+        state = DAMAGED
     size = sum(file.stat().st_size for file in path.iterdir() if file.is_file())
-    return Disposable(str(path), release, state, size, str(path.parent / f"{name}.lock"))
+    return Disposable(str(path), release, state, size, str(path.parent / f"{name}.lock"), wrong)
 
 
 def _partial(path: Path, downloads: Path) -> Disposable:

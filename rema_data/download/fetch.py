@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 import os
+import shlex
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from rema_data.download.plan import Plan, check_space, make_plan
@@ -19,7 +20,7 @@ from rema_data.release.manifest import MANIFEST, Manifest, parse_manifest
 from rema_data.release.registry import load_published, newest, published
 from rema_data.storage import storage_errors, write_atomic
 
-__all__ = ["download"]
+__all__ = ["download", "fetch_again"]
 
 JOBS = 8
 _LISTED = 5
@@ -99,7 +100,10 @@ def download(
             plan = make_plan(folder, files)  # another process may have fetched them meanwhile
             outcome = _fetch(folder, plan, asked, jobs or JOBS, sink)
     if outcome.undelivered:
-        raise _undelivered(wanted, outcome.undelivered, len(plan.files), only_local)
+        again = f"rema download {wanted.name}" + (
+            "" if manifest is None else f" --manifest {shlex.quote(os.fspath(manifest))}"
+        )
+        raise _undelivered(wanted, outcome.undelivered, len(plan.files), asked, only_local, again)
     if not dry_run:
         _write_manifest(folder)
     return DownloadReport(
@@ -118,6 +122,42 @@ def download(
         blocks=plan.by_block(asked),
         dry_run=dry_run,
     )
+
+
+def fetch_again(
+    folder: ReleaseFolder, locations: Iterable[str], sources: Sequence[str | os.PathLike[str]], again: str
+) -> None:
+    """Fetch files of a release again, whatever is in their place: it is replaced when the right bytes are here.
+
+    Parameters
+    ----------
+    folder : ReleaseFolder
+    locations : iterable of str
+        Of files that the manifest names.
+    sources : sequence of str or path
+        As in ``download``.
+    again : str
+        The command that does the same, for the hint of an error.
+
+    Raises
+    ------
+    InputError, MissingFileError, IntegrityError, StorageError
+        See ``download``. What could not be fetched is as it was before.
+    """
+    wanted = set(locations)
+    files = tuple(file for file in folder.manifest.files if file.location in wanted)
+    only_local = _offline_by_environment()
+    asked = [source for source in _sources(sources, folder.manifest, only_local) if not _is_folder(source, folder.root)]
+    with _locks(folder.root, {file.holder for file in files}, Silent()):
+        outcome = _fetch(folder, Plan(files, files), asked, JOBS, Silent())
+    if outcome.undelivered:
+        raise _undelivered(folder.manifest, outcome.undelivered, len(files), asked, only_local, again)
+
+
+def _is_folder(source: Source, folder: Path) -> bool:
+    """Whether a source is this very folder, whose files are damaged."""
+    place = source.folder()
+    return place is not None and place.resolve() == folder.resolve()
 
 
 def _manifest(release: str | None, path: str | os.PathLike[str] | None) -> Manifest:
@@ -205,7 +245,18 @@ def _fetch(folder: ReleaseFolder, plan: Plan, sources: Sequence[Source], jobs: i
     check_space(folder.root, plan)
     _LOG.info("fetching %d files of %s, %d bytes", len(plan.missing), folder.manifest.name, plan.missing_bytes)
     progress.phase("download", plan.missing_bytes)
-    return fetch_files(plan.missing, folder.root, sources, jobs, progress)
+    try:
+        return fetch_files(plan.missing, folder.root, sources, jobs, progress)
+    finally:
+        _remove_empty(folder.root, {folder.root / entry.location for entry in plan.missing})
+
+
+def _remove_empty(root: Path, paths: Iterable[Path]) -> None:
+    """Remove the folders of files that did not arrive, where nothing is in them."""
+    folders = {parent for path in paths for parent in path.parents if parent.is_relative_to(root) and parent != root}
+    for path in sorted(folders, key=lambda path: -len(path.parts)):
+        with suppress(OSError):  # not empty, or never made
+            path.rmdir()
 
 
 def _write_manifest(folder: ReleaseFolder) -> None:
@@ -216,8 +267,14 @@ def _write_manifest(folder: ReleaseFolder) -> None:
 
 
 def _undelivered(
-    manifest: Manifest, failed: Sequence[Undelivered], files: int, only_local: bool
+    manifest: Manifest,
+    failed: Sequence[Undelivered],
+    files: int,
+    asked: Sequence[Source],
+    only_local: bool,
+    again: str,
 ) -> MissingFileError | IntegrityError:
+    """The error about files that no source has delivered; ``again`` is the command that asks once more."""
     by_answers: dict[tuple[tuple[str, str], ...], list[str]] = {}
     for error in sorted(failed, key=lambda error: error.entry.location):
         by_answers.setdefault(tuple(error.answers.items()), []).append(error.entry.location)
@@ -227,9 +284,9 @@ def _undelivered(
         lines += [f"  {label}: {said}" for label, said in answers] or ["  no source is known"]
     if len(by_answers) > _LISTED:
         lines.append(f"and {len(by_answers) - _LISTED} other reasons")
-    hint = (
-        f"run the same command again (it resumes), or name another mirror: rema download {manifest.name} --source URL"
-    )
+    hint = f"run the same command again (it resumes), or name another mirror: {again} --source URL"
+    if all(source.local for source in asked):  # a folder that lacks a file will not have it in a minute either
+        hint = f"name a mirror: {again} --source URL"
     if only_local:
         hint = "only folders of this machine were asked (offline): go online, or name a folder: --source FOLDER"
     kind = IntegrityError if any(error.corrupt for error in failed) else MissingFileError

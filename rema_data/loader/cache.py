@@ -5,7 +5,7 @@
     <folder>/<manifest sha256, 16 digits>-<hash of the local blocks, 8 digits>/
         scene.npy  ee_depth.npy  ee_mask.npy     one row a scene, one a different end-effector map
         index.npy                                one row a step
-        cache.json                               written last: sizes of the files, values of the text columns
+        cache.json                               written last: see ``rema_data.loader.record``
 
 The folder is disposable: ``rema_data.load`` builds it again. It gets its name only when it is whole and on the disk.
 """
@@ -33,8 +33,9 @@ import numpy.typing as npt
 from rema_data.errors import MissingFileError, StorageError
 from rema_data.loader.decode import MAP_ARRAYS, Progress, decode_blocks, map_rows, row_bytes
 from rema_data.loader.index import Categories, Index
+from rema_data.loader.record import CACHE_VERSION, is_whole, read_record, write_record
 from rema_data.schema import Embodiment
-from rema_data.storage import rema_home, storage_errors, sync_folder, write_atomic
+from rema_data.storage import rema_home, storage_errors, sync_folder
 
 if TYPE_CHECKING:
     from rema_data.release.folder import ReleaseFolder
@@ -51,8 +52,6 @@ __all__ = [
     "open_cache",
 ]
 
-CACHE_VERSION = 1
-_RECORD = "cache.json"
 _LOG = logging.getLogger(__name__)
 _HINT = "set REMA_HOME to another folder, or use rema_data.load(..., cache=FOLDER), or cache='memory'"
 _MAX_JOBS = 4
@@ -89,7 +88,7 @@ class DecodedCache:
 
     @cached_property
     def _record(self) -> dict[str, Any]:
-        return _read_record(self._path)
+        return read_record(self._path)
 
     @property
     def _path(self) -> Path:
@@ -209,22 +208,6 @@ def decode_to_memory(
     return _MemoryCache(maps, index, categories)
 
 
-def is_whole(path: Path) -> bool:
-    """Whether a cache is there, with all its files in their sizes."""
-    try:
-        record = _read_record(path)
-        return all(os.stat(path / name).st_size == size for name, size in record["files"].items())
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return False
-
-
-def _read_record(path: Path) -> dict[str, Any]:
-    record = json.loads((path / _RECORD).read_bytes())
-    if record["version"] != CACHE_VERSION:
-        raise ValueError(f"the cache has version {record['version']}")
-    return dict(record)
-
-
 def _jobs() -> int:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return min(cores, _MAX_JOBS)
@@ -251,15 +234,13 @@ def _build(release: ReleaseFolder, blocks: Sequence[BlockEntry], path: Path, pro
             files = sorted(temporary.iterdir())
             for file in files:
                 _sync(file)
-            record = {
-                "version": CACHE_VERSION,
+            about = {
                 "release": release.manifest.name,
                 "sha256": release.manifest.sha256,
                 "blocks": [block.key.path for block in blocks],
-                "files": {file.name: file.stat().st_size for file in files},
                 "categories": categories,
             }
-            write_atomic(temporary / _RECORD, json.dumps(record, indent=1) + "\n")
+            write_record(temporary, files, about)
             temporary.chmod(0o755)
             if path.exists():
                 shutil.rmtree(path)

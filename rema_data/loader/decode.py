@@ -15,6 +15,7 @@ from rema_data.errors import IntegrityError, MissingFileError
 from rema_data.grid import EE_PIXELS, SCENE_PIXELS
 from rema_data.loader.index import Categories, Index, encode_steps
 from rema_data.quantise import decode_heights
+from rema_data.release.mending import Mending
 
 if TYPE_CHECKING:
     from rema_data.release.folder import ReleaseFolder
@@ -124,18 +125,16 @@ def decode_blocks(
 
 
 def _check(release: ReleaseFolder, entry: FileEntry) -> None:
-    path, name = release.file(entry), release.manifest.name
+    path = release.file(entry)
     try:
         with path.open("rb") as file:
             got = hashlib.file_digest(file, "sha256").hexdigest()
     except FileNotFoundError:
-        raise MissingFileError(
-            f"file {path} does not exist", hint=f"fetch it again: rema download {name}", path=str(path)
-        ) from None
+        raise MissingFileError(f"file {path} does not exist", hint=Mending(release).at(path), path=str(path)) from None
     if got != entry.sha256:
         raise IntegrityError(
             f"file {path} is not the one that was sealed: its sha256 is {got}, the manifest says {entry.sha256}",
-            hint=f"delete it and fetch it again: rema download {name}; find all damage: rema verify {name}",
+            hint=Mending(release).at(path),
             path=str(path),
             expected=entry.sha256,
             got=got,
@@ -175,6 +174,6 @@ def _contradiction(release: ReleaseFolder, block: BlockEntry, what: str) -> Inte
     folder = release.block(block).folder
     return IntegrityError(
         f"block {folder} contradicts itself: {what}",
-        hint=f"find all damage: rema verify {release.manifest.name}",
+        hint=f"find all damage: {Mending(release).verify}",
         path=str(folder),
     )

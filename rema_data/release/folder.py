@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rema_data.errors import InputError, MissingFileError
+from rema_data.errors import InputError, IntegrityError, MissingFileError
 from rema_data.release.manifest import MANIFEST, BlockEntry, FileEntry, Manifest, parse_manifest
 from rema_data.release.registry import SAMPLE, load_published, published
 from rema_data.storage import rema_home
-from rema_data.store.keys import BlockKey
 
 if TYPE_CHECKING:
     from rema_data.store.block import BlockReader
@@ -54,7 +53,7 @@ class ReleaseFolder:
         """Reader of a block."""
         from rema_data.store.block import BlockReader
 
-        return BlockReader(self.root / entry.holder / entry.key.path)
+        return BlockReader(self.root / entry.holder / entry.key.path, self._mend)
 
     def blocks(self) -> tuple[BlockEntry, ...]:
         """The blocks that are here whole."""
@@ -73,17 +72,19 @@ class ReleaseFolder:
         here = {block.key for block in self.blocks()}
         missing = [block.key for block in wanted if block.key not in here]
         if missing:
+            from rema_data.release.mending import Mending
+
             raise MissingFileError(
                 f"{len(missing)} blocks of {self.manifest.name} are not on this machine, the first one "
                 f"{missing[0].path}",
-                hint=f"fetch them: rema download {self.manifest.name}{_options(missing)}",
+                hint=Mending(self).blocks(missing),
                 missing=missing,
             )
 
+    def _mend(self, path: Path) -> str:
+        from rema_data.release.mending import Mending
 
-def _options(keys: list[BlockKey]) -> str:
-    tasks = sorted({key.task for key in keys})
-    return "".join(f" --task {task}" for task in tasks)
+        return Mending(self).at(path)
 
 
 def downloads_folder() -> Path:
@@ -133,7 +134,7 @@ def find_release(name_or_path: str | os.PathLike[str] | None = None) -> ReleaseF
                 hint="name the folder that `rema collect` or `rema download` made",
                 path=str(path),
             )
-        manifest = parse_manifest(path.read_bytes(), str(path))
+        manifest = _parse_beside_data(path)
         if folder.resolve().name != manifest.name:
             raise InputError(
                 f"the folder {folder} holds the release {manifest.name}",
@@ -146,6 +147,16 @@ def find_release(name_or_path: str | os.PathLike[str] | None = None) -> ReleaseF
     if not best.blocks():
         raise MissingFileError(f"release {text} is not on this machine", hint=f"fetch it: rema download {text}")
     return best
+
+
+def _parse_beside_data(path: Path) -> Manifest:
+    try:
+        return parse_manifest(path.read_bytes(), str(path))
+    except IntegrityError as error:
+        from rema_data.release.mending import mend_manifest
+
+        error.hint = mend_manifest(path)
+        raise
 
 
 def _find_default() -> ReleaseFolder:

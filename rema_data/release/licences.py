@@ -4,7 +4,27 @@ from __future__ import annotations
 
 from rema_data.release.manifest import Manifest
 
-__all__ = ["licence_notice", "licence_url"]
+__all__ = ["KNOWN_LICENCES", "licence_notice", "licence_url"]
+
+KNOWN_LICENCES = (
+    "CC-BY-4.0",
+    "CC-BY-SA-4.0",
+    "CC-BY-NC-4.0",
+    "CC-BY-NC-SA-4.0",
+    "CC-BY-ND-4.0",
+    "CC-BY-NC-ND-4.0",
+    "CC0-1.0",
+    "PDDL-1.0",
+    "ODC-By-1.0",
+    "ODbL-1.0",
+    "CDLA-Permissive-1.0",
+    "CDLA-Permissive-2.0",
+    "CDLA-Sharing-1.0",
+    "MIT",
+    "Apache-2.0",
+)
+"""SPDX identifiers that a new release may have. The notice, the citation and Croissant link to the text at
+``licence_url``, which exists for an identifier of SPDX and for nothing else."""
 
 _CREATIVE_COMMONS = {
     "CC-BY-4.0": ("Creative Commons Attribution 4.0 International", "https://creativecommons.org/licenses/by/4.0/"),

@@ -18,6 +18,7 @@ from typing import Any
 
 from rema_data.errors import InputError, IntegrityError, RemaError
 from rema_data.quantise import HEIGHT_ERROR_M, HEIGHT_OFFSET_M, MISSING
+from rema_data.release.fields import check_day, check_order, check_path, record
 from rema_data.schema import HEIGHT_STEP_M, SCHEMA_VERSION, TASKS
 from rema_data.store.keys import BlockKey
 
@@ -36,7 +37,6 @@ ENCODING: dict[str, float] = {
 
 _NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
 _SHA = re.compile(r"[0-9a-f]{64}")
-_DAY = re.compile(r"\d{4}-\d{2}-\d{2}|")
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,36 +245,7 @@ def check_name(name: str) -> str:
     return name
 
 
-def _check_path(path: str) -> None:
-    parts = path.split("/")
-    climbs = any(part in ("", ".", "..") for part in parts)
-    if climbs or "\\" in path or ":" in path or not path.isprintable() or len(path) > 512:
-        raise ValueError(f"the path {path!r} does not stay inside the release")
-
-
-def _record(kind: type, row: Any) -> Any:
-    """A record from a JSON object with exactly its fields, each of its type."""
-    if not isinstance(row, dict):
-        raise ValueError(f"{row!r} is no object")
-    fields = {item.name: str(item.type) for item in dataclasses.fields(kind)}
-    if set(row) != set(fields):
-        raise ValueError(f"an entry has the fields {sorted(row)}, not {sorted(fields)}")
-    for name, wanted in fields.items():
-        value = row[name]
-        if wanted == "int":
-            good = isinstance(value, int) and not isinstance(value, bool) and value >= 0
-        elif wanted == "str":
-            good = isinstance(value, str)
-        else:
-            good = isinstance(value, list) and all(isinstance(item, str) for item in value)
-            value = tuple(value) if good else value
-        if not good:
-            raise ValueError(f"{name} is {value!r}")
-        row = {**row, name: value}
-    return kind(**row)
-
-
-def parse_manifest(data: bytes, where: str, sha256: str | None = None) -> Manifest:
+def parse_manifest(data: bytes, where: str, sha256: str | None = None, hint: str = "") -> Manifest:
     """A manifest from its bytes.
 
     Parameters
@@ -284,6 +255,8 @@ def parse_manifest(data: bytes, where: str, sha256: str | None = None) -> Manife
         File or URL, for messages.
     sha256 : str, optional
         What the bytes must hash to.
+    hint : str
+        The command that brings the right bytes back, where the caller knows it.
 
     Raises
     ------
@@ -296,7 +269,7 @@ def parse_manifest(data: bytes, where: str, sha256: str | None = None) -> Manife
     if sha256 is not None and got != sha256:
         raise IntegrityError(
             f"manifest {where} has sha256 {got}, expected {sha256}",
-            hint="restore it: git checkout -- manifests, or fetch it again with rema download",
+            hint=hint or _again(where),
             expected=sha256,
             got=got,
         )
@@ -304,7 +277,7 @@ def parse_manifest(data: bytes, where: str, sha256: str | None = None) -> Manife
         content = json.loads(data)
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             raise ValueError("it does not say that it is a rema release")
-        if content.get("schema_version") != SCHEMA_VERSION:
+        if content["schema_version"] != SCHEMA_VERSION:
             raise InputError(
                 f"{where} has schema version {content.get('schema_version')!r}, this rema reads {SCHEMA_VERSION}",
                 hint="install the version of rema that the release belongs to: pip install --upgrade rema",
@@ -316,37 +289,42 @@ def parse_manifest(data: bytes, where: str, sha256: str | None = None) -> Manife
     except RemaError as error:
         if isinstance(error, InputError) and "schema_version" in error.facts:
             raise
-        raise _broken(where, error.message) from error
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise _broken(where, str(error)) from error
+        raise _broken(where, error.message, hint) from error
+    except KeyError as error:
+        raise _broken(where, f"the field {error.args[0]} is missing", hint) from error
+    except (ValueError, TypeError, AttributeError, RecursionError) as error:
+        raise _broken(where, str(error), hint) from error
     return manifest
 
 
-def _broken(where: str, why: str) -> IntegrityError:
-    return IntegrityError(
-        f"manifest {where} cannot be used: {why}",
-        hint="restore it: git checkout -- manifests, or fetch it again with rema download",
-        where=where,
-    )
+def _again(where: str) -> str:
+    return f"copy {where} again from where it came from"
+
+
+def _broken(where: str, why: str, hint: str) -> IntegrityError:
+    return IntegrityError(f"manifest {where} cannot be used: {why}", hint=hint or _again(where), where=where)
 
 
 def _checked(content: dict[str, Any]) -> Manifest:
     """A manifest from JSON, or a ValueError, KeyError or TypeError that says what is wrong."""
-    blocks = tuple(_record(BlockEntry, row) for row in content["blocks"])
-    files = tuple(_record(FileEntry, row) for row in content["files"])
-    parent = None if content["parent"] is None else _record(Parent, content["parent"])
+    blocks = tuple(record(BlockEntry, row) for row in content["blocks"])
+    files = tuple(record(FileEntry, row) for row in content["files"])
+    parent = None if content["parent"] is None else record(Parent, content["parent"])
     texts = {name: content[name] for name in ("name", "title", "description", "license", "citation", "plan_sha256")}
     for name, text in texts.items():
         if not isinstance(text, str):
             raise ValueError(f"{name} is {text!r}")
     check_name(texts["name"])
     texts["published"] = content.get("published", "")
-    if not _DAY.fullmatch(texts["published"]):
-        raise ValueError(f"published is {texts['published']!r}, not a day such as 2026-01-31")
+    check_day(texts["published"])
     for name in {file.holder for file in files} | {block.holder for block in blocks}:
         check_name(name)
+    if parent is not None:
+        check_name(parent.name)
+        if not _SHA.fullmatch(parent.sha256):
+            raise ValueError(f"the parent {parent.name} has the sha256 {parent.sha256!r}")
     for file in files:
-        _check_path(file.path)
+        check_path(file.path)
         if not _SHA.fullmatch(file.sha256):
             raise ValueError(f"{file.path} has the sha256 {file.sha256!r}")
     repeated = [name for name, times in Counter(file.location for file in files).items() if times > 1]
@@ -365,6 +343,8 @@ def _checked(content: dict[str, Any]) -> Manifest:
             raise ValueError(f"{file.path} does not lie where its block does")
     if {file.block for file in files} - {None} != set(holders):
         raise ValueError("a block has no files")
+    check_order("blocks", [(block.round, list(TASKS).index(block.task), block.split) for block in blocks])
+    check_order("files", [file.location for file in files])
     if content["heights"] != ENCODING:
         raise ValueError(f"heights are stored in an unknown way: {content['heights']}")
     fingerprint = content["fingerprint"]

@@ -70,10 +70,10 @@ def load_published(name: str) -> Manifest:
     if name not in entries:
         raise InputError(f"there is no release {name!r}", hint=f"choose one of: {', '.join(entries)}", name=name)
     path = _folder() / f"{name}.json"
+    hint = "restore it from the repository: git checkout -- manifests"
     if not path.is_file():
-        hint = "restore it from the repository: git checkout -- manifests"
         raise MissingFileError(f"the manifest {path} does not exist", hint=hint, path=str(path))
-    return parse_manifest(path.read_bytes(), str(path), entries[name].sha256)
+    return parse_manifest(path.read_bytes(), str(path), entries[name].sha256, hint)
 
 
 def register(manifest: Manifest) -> Path:

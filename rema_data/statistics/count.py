@@ -14,6 +14,7 @@ import numpy as np
 
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import BlockEntry
+from rema_data.release.mending import Mending
 from rema_data.schema import TASKS, skill
 from rema_data.store.block import BlockReader
 
@@ -94,12 +95,15 @@ class Statistics:
         Of the blocks that are on this machine, in the order of the manifest.
     missing : tuple of BlockEntry
         Blocks that are not: the manifest knows their episodes, but not how many reached which step.
+    mend : str
+        What brings the missing blocks; empty where there are none.
     """
 
     release: str
     sha256: str
     steps: tuple[StepCount, ...]
     missing: tuple[BlockEntry, ...]
+    mend: str = ""
 
     def totals(self) -> tuple[TaskTotal, ...]:
         """Sums by task, in the order of ``TASKS``."""
@@ -144,11 +148,13 @@ def count(release: ReleaseFolder) -> Statistics:
     """
     here = release.blocks()
     present = {block.key for block in here}
+    missing = tuple(block for block in release.manifest.blocks if block.key not in present)
     return Statistics(
         release.manifest.name,
         release.manifest.sha256,
         tuple(row for block in here for row in _count_block(block, release.block(block))),
-        tuple(block for block in release.manifest.blocks if block.key not in present),
+        missing,
+        Mending(release).blocks(block.key for block in missing) if missing else "",
     )
 
 

@@ -65,9 +65,7 @@ def plot_rounds(statistics: Statistics, path: Path) -> None:
         ) from error
     sums = accumulated(statistics)
     if not sums:
-        raise InputError(
-            f"no block of {statistics.release} is on this machine", hint=f"rema download {statistics.release}"
-        )
+        raise InputError(f"no block of {statistics.release} is on this machine", hint=statistics.mend)
     figure = Figure(figsize=(2.6 * len(sums) + 0.6, 3.4), dpi=150, facecolor="white", layout="constrained")
     panels = figure.subplots(1, len(sums), squeeze=False)[0]
     for axes, (task, counts) in zip(panels, sums.items(), strict=True):

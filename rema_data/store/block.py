@@ -26,6 +26,7 @@ from rema_data.quantise import encode_heights, pack_mask
 from rema_data.schema import Episode, Observation
 from rema_data.storage import write_atomic
 from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS
+from rema_data.store.hints import Mend, ask_verify
 from rema_data.store.keys import SPLITS, BlockKey
 from rema_data.store.maps import MapsReader, MapsWriter
 from rema_data.store.tables import episode_row, episodes_table, read_table, step_row, steps_table, to_parquet
@@ -153,19 +154,22 @@ class BlockReader:
     Parameters
     ----------
     folder : Path
+    mend : callable
+        Hint of an error about a path in it: what brings the file back.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, mend: Mend = ask_verify) -> None:
         self.folder = folder
+        self.mend = mend
 
     def episodes(self) -> pa.Table:
         """Table of the episodes; see ``read_table`` for what it raises."""
-        return read_table(self.folder / EPISODES, EPISODE_COLUMNS)
+        return read_table(self.folder / EPISODES, EPISODE_COLUMNS, self.mend)
 
     def steps(self) -> pa.Table:
         """Table of the steps; see ``read_table`` for what it raises."""
-        return read_table(self.folder / STEPS, STEP_COLUMNS)
+        return read_table(self.folder / STEPS, STEP_COLUMNS, self.mend)
 
     def maps(self) -> MapsReader:
         """Reader of the maps."""
-        return MapsReader(self.folder)
+        return MapsReader(self.folder, self.mend)

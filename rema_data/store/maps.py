@@ -31,11 +31,11 @@ from rema_data.grid import EE_PIXELS, SCENE_PIXELS
 from rema_data.quantise import HEIGHT_ERROR_M, HEIGHT_OFFSET_M, MISSING
 from rema_data.schema import HEIGHT_STEP_M
 from rema_data.storage import storage_errors
+from rema_data.store.hints import Mend, ask_verify
 
 __all__ = ["ARRAYS", "MAPS", "ArrayFormat", "MapsReader", "MapsWriter"]
 
 MAPS = "maps.zarr"
-_DAMAGED = "run `rema verify` on the release, then `rema download` to fetch the damaged file again"
 _LEVEL = 19
 """Of zstd. Shuffling makes these maps larger: they are long runs of equal 16-bit values (benchmarks/codecs.py)."""
 _MASK_HOLE = 255
@@ -169,6 +169,8 @@ class MapsReader:
     ----------
     folder : Path
         Of the block.
+    mend : callable
+        Hint of an error about a path in it.
 
     Raises
     ------
@@ -178,12 +180,11 @@ class MapsReader:
         Their metadata are damaged.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, mend: Mend = ask_verify) -> None:
         self._path = folder / MAPS
+        self._mend = mend
         if not (self._path / "zarr.json").is_file():
-            raise MissingFileError(
-                f"there are no maps at {self._path}", hint="fetch them: rema download", path=str(self._path)
-            )
+            raise MissingFileError(f"there are no maps at {self._path}", hint=mend(self._path), path=str(self._path))
         self._arrays: dict[str, zarr.Array[Any]] = {}
         for name, form in ARRAYS.items():
             try:
@@ -196,7 +197,7 @@ class MapsReader:
 
     def _damage(self, name: str, why: str) -> IntegrityError:
         path = self._path / name
-        return IntegrityError(f"array {path} is damaged: {why}", hint=_DAMAGED, path=str(path))
+        return IntegrityError(f"array {path} is damaged: {why}", hint=self._mend(path), path=str(path))
 
     def rows(self, name: str) -> int:
         """Number of rows of an array."""

@@ -27,6 +27,7 @@ from rema_data.schema import (
     skill,
 )
 from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, Column, arrow_schema
+from rema_data.store.hints import Mend, ask_verify
 
 __all__ = [
     "episode_row",
@@ -167,8 +168,8 @@ def to_parquet(table: pa.Table) -> bytes:
     return buffer.getvalue()
 
 
-def read_table(path: Path, columns: tuple[Column, ...]) -> pa.Table:
-    """A table of a block, checked against its schema.
+def read_table(path: Path, columns: tuple[Column, ...], mend: Mend = ask_verify) -> pa.Table:
+    """A table of a block, checked against its schema; ``mend`` gives the hint about a damaged or missing one.
 
     Raises
     ------
@@ -177,14 +178,13 @@ def read_table(path: Path, columns: tuple[Column, ...]) -> pa.Table:
     IntegrityError
         It is not a whole Parquet file, or has other columns.
     """
-    hint = "run `rema verify` on the release, then `rema download` to fetch the damaged file again"
     try:
         table = pq.read_table(path, page_checksum_verification=True)
         found = table.schema.names  # decoded here: damaged names are no text
     except FileNotFoundError:
-        raise MissingFileError(f"table {path} does not exist", hint="run `rema download`", path=str(path)) from None
+        raise MissingFileError(f"table {path} does not exist", hint=mend(path), path=str(path)) from None
     except (pa.ArrowException, ValueError, OSError) as error:
-        raise IntegrityError(f"table {path} is damaged: {error}", hint=hint, path=str(path)) from error
+        raise IntegrityError(f"table {path} is damaged: {error}", hint=mend(path), path=str(path)) from error
     wanted = arrow_schema(columns)
     if found != wanted.names or table.schema.types != wanted.types:
         names = set(wanted.names) ^ set(found)

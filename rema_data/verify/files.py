@@ -7,14 +7,15 @@ from pathlib import Path
 from typing import Protocol
 
 from rema_data.download.part import SUFFIX
-from rema_data.release.folder import ReleaseFolder, downloads_folder
+from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, BlockEntry, FileEntry
+from rema_data.release.mending import Mending, is_download
 from rema_data.release.registry import published
 from rema_data.release.seal import file_sha256
 from rema_data.schema import TASKS
 from rema_data.verify.findings import Findings
 
-__all__ = ["Progress", "absent_blocks", "check_files", "check_manifest", "check_unexpected", "is_download", "refetch"]
+__all__ = ["Progress", "absent_blocks", "check_files", "check_manifest", "check_unexpected"]
 
 
 class Progress(Protocol):
@@ -25,27 +26,6 @@ class Progress(Protocol):
 
     def advance(self, n: int) -> None:
         """So many items more of the present phase are done."""
-
-
-def is_download(release: ReleaseFolder) -> bool:
-    """Whether the release lies where ``rema download`` puts it."""
-    return release.root.resolve() == downloads_folder().resolve()
-
-
-def refetch(release: ReleaseFolder, location: str) -> str:
-    """The command that brings the sealed bytes of a file back."""
-    name, root = release.manifest.name, release.root.resolve()
-    if is_download(release):
-        return f"rema verify {name} --repair"
-    if root.name == "_releases":
-        return "pip install --force-reinstall rema"
-    known = any(entry.sha256 == release.manifest.sha256 for entry in published())
-    checkout = next((folder for folder in root.parents if (folder / ".git").exists()), None)
-    if known and checkout is not None:
-        return f"git checkout -- {(root / location).relative_to(checkout).as_posix()}"
-    if known:
-        return f"use the published files: rema download {name}"
-    return "copy it again from where the release came from, or collect the release again: rema collect PLAN"
 
 
 def check_manifest(release: ReleaseFolder, findings: Findings) -> set[str]:
@@ -75,9 +55,9 @@ def check_manifest(release: ReleaseFolder, findings: Findings) -> set[str]:
                 mend="seal the release again from its plan: rema collect PLAN",
             )
     if not copy.is_file():
-        findings.add("missing", str(copy), "the manifest beside the data", mend=refetch(release, location))
+        findings.add("missing", str(copy), "the manifest beside the data", mend=Mending(release).file(location))
     elif copy.read_bytes() != manifest.to_bytes():
-        findings.add("manifest", str(copy), "it is not the release's manifest", mend=refetch(release, location))
+        findings.add("manifest", str(copy), "it is not the release's manifest", mend=Mending(release).file(location))
     else:
         return set()
     return {location}
@@ -101,14 +81,14 @@ def check_files(
     set of str
         Locations of the files that are not what the manifest names.
     """
-    damaged = set()
+    damaged, mending = set(), Mending(release)
     progress.phase("files", len(entries))
     for entry in entries:
         path = release.file(entry)
         fault = _fault(path, entry)
         if fault is not None:
             damaged.add(entry.location)
-            findings.add(*fault, mend=refetch(release, entry.location))
+            findings.add(*fault, mend=mending.file(entry.location))
         progress.advance(1)
     return damaged
 

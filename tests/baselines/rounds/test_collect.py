@@ -27,6 +27,7 @@ from rema_data.errors import (
     SubmissionError,
 )
 from rema_data.release.folder import ReleaseFolder, find_release
+from rema_data.release.registry import register
 from rema_data.schema import TASKS
 from rema_data.store.block import BlockKey
 from rema_data.store.tables import outcome_of, situation_of
@@ -128,6 +129,23 @@ def test_a_sealed_release_belongs_to_one_plan(tmp_path: Path, finished: ReleaseF
     with pytest.raises(RunMismatchError, match="made by another plan"):
         collect_fake(write_plan(tmp_path, **{old: new}), finished.root)
     assert tree(finished.path) == before
+
+
+def test_a_published_name_belongs_to_one_plan(
+    tmp_path: Path, finished: ReleaseFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Said before anything is played; the plan that made it may make it again, anywhere."""
+    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
+    (tmp_path / "manifests").mkdir()
+    register(finished.manifest)
+    with pytest.raises(
+        RunMismatchError, match=r"plan\.toml: tiny is a published release, made by another plan"
+    ) as caught:
+        collect_fake(write_plan(tmp_path, **{"seed = 7": "seed = 8"}), tmp_path / "other")
+    assert caught.value.hint == "give the plan another name" and not (tmp_path / "other").exists()
+    assert collect_fake(write_plan(tmp_path), finished.root).already
+    again = collect_fake(write_plan(tmp_path), tmp_path / "again")
+    assert not again.already and again.release.manifest.sha256 == finished.manifest.sha256
 
 
 def test_a_folder_of_that_name_is_not_written_to(tmp_path: Path) -> None:

@@ -58,6 +58,8 @@ def test_a_task_can_have_its_own_values(tmp_path: Path) -> None:
         ('name = "tiny"', 'name = "../tiny"', "name"),
         ('title = "Tiny"', "", "title"),
         ('license = "CC-BY-4.0"', 'license = ""', "license"),
+        ('license = "CC-BY-4.0"', 'license = "do what you like"', "license"),
+        ('license = "CC-BY-4.0"', 'license = "CC-BY"', "license"),
         ("seed = 7", "seed = -1", "seed"),
         ("seed = 7", "seed = true", "seed"),
         ("seed = 7", 'seed = 7\nsources = "http://here"', "sources"),

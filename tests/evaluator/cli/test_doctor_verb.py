@@ -66,3 +66,30 @@ def test_a_problem_is_exit_code_6(machine: Path) -> None:
     result = doctor()
     assert result.exit_code == 6
     assert "problem: " in result.stdout and "nothing is wrong" not in result.stdout
+
+
+def test_damaged_content_of_a_cache_is_found_when_it_is_asked_for(machine: Path) -> None:
+    doctor()
+    (cache,) = [path for path in (machine / "home" / "decoded").iterdir() if path.is_dir()]
+    assert doctor("--check-caches").exit_code == 0
+    with (cache / "index.npy").open("rb+") as file:
+        file.seek(-8, 2)
+        file.write(b"\xff" * 8)
+    assert doctor("--seconds", "0").exit_code == 0
+    result = doctor("--check-caches")
+    assert result.exit_code == 6
+    printed = " ".join(result.stdout.split())
+    assert f"the decoded cache {cache} is damaged (index.npy): rema doctor --check-caches --prune" in printed
+    assert doctor("--check-caches", "--prune").exit_code == 0 and not cache.exists()
+    assert doctor("--check-caches").exit_code == 0 and cache.is_dir()
+
+
+def test_a_cache_without_checksums_is_no_problem(machine: Path) -> None:
+    doctor()
+    (record,) = (machine / "home" / "decoded").glob("*/cache.json")
+    content = json.loads(record.read_text())
+    del content["digests"]
+    record.write_text(json.dumps(content))
+    assert "cannot be checked" not in doctor().stdout
+    result = doctor("--check-caches")
+    assert result.exit_code == 0 and f"rm -r '{record.parent}'" in result.stdout

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import h5py
@@ -60,6 +61,22 @@ def test_a_published_release_by_its_name(release: ReleaseFolder, monkeypatch: py
     assert printed["files"] == [{"path": "exported/push.hdf5", "new": True, "episodes": 1, "steps": 1, "bytes": size}]
     again = rema("export", "tiny", "--output", "exported", "--task", "push", "--split", "val")
     assert "was there already" in again.stdout
+
+
+def test_a_damaged_shard_has_a_mending_that_works(release: ReleaseFolder, tmp_path: Path) -> None:
+    """The release is not published: neither its name nor a download leads anywhere."""
+    copy = Path(shutil.copytree(release.path, tmp_path / "data" / "tiny"))
+    shard = copy / "round-1" / "push" / "val" / "maps.zarr" / "scene" / "c" / "0" / "0" / "0"
+    shard.chmod(0o644)
+    data = bytearray(shard.read_bytes())
+    data[20] ^= 1
+    shard.write_bytes(data)
+    out = rema("export", copy, "--output", "exported")
+    assert out.exit_code == 6 and f"find all damage: rema verify {copy}" in out.stderr
+    assert "copy it again from where the release came from" in out.stderr and "rema download" not in out.stderr
+    shard.unlink()
+    out = rema("export", copy, "--output", "exported")
+    assert out.exit_code == 2 and "rema download" not in out.stderr
 
 
 def test_options_reach_the_file(release: ReleaseFolder) -> None:

@@ -90,3 +90,14 @@ def test_json_and_figure(release: ReleaseFolder, tmp_path: Path) -> None:
     assert printed["paper"]["total"]["paper"] == {"positives": 38_123, "negatives": 80_747}
     assert (tmp_path / "rounds.png").read_bytes().startswith(b"\x89PNG")
     assert stats("--plot", "other.png").stdout.splitlines()[-1] == "other.png"
+
+
+def test_a_damaged_table_of_a_copy_has_a_mending_that_works(release: ReleaseFolder, tmp_path: Path) -> None:
+    """Fetching the release would leave this folder as it is."""
+    copy = Path(shutil.copytree(release.path, tmp_path / "data" / "tiny"))
+    table = copy / "round-1" / "grasp" / "train" / "steps.parquet"
+    table.chmod(0o644)
+    table.write_bytes(bytes(len(table.read_bytes())))
+    result = CliRunner().invoke(cli, ["stats", str(copy)])
+    assert result.exit_code == 6 and f"find all damage: rema verify {copy}" in result.stderr
+    assert "open them by their name: rema download tiny" in result.stderr

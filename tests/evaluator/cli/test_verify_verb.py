@@ -93,6 +93,21 @@ def test_repair(release: ReleaseFolder, whole: ReleaseFolder, tmp_path: Path) ->
     assert (downloaded.root / place).read_bytes() == whole.root.joinpath(place).read_bytes()
 
 
+def test_repair_from_a_source(release: ReleaseFolder, whole: ReleaseFolder, tmp_path: Path) -> None:
+    register(whole.manifest)
+    downloaded = copy(whole, tmp_path / "home" / "releases")
+    path = downloaded.root / location(downloaded, GRASP_TRAIN, SHARD)
+    flip(path, 100)
+    damaged = path.read_bytes()
+    result = verify("tiny", "--repair")
+    assert result.exit_code == 2 and "name a mirror: rema verify tiny --repair --source URL" in result.stderr
+    assert path.read_bytes() == damaged
+    result = verify("tiny", "--repair", "--source", tmp_path / "nowhere", "--source", whole.root)
+    assert result.exit_code == 0, result.output
+    result = verify("tiny", "--source", whole.root)
+    assert result.exit_code == 2 and "--source is for --repair" in result.stderr
+
+
 def test_a_folder_that_was_not_downloaded_is_not_repaired(release: ReleaseFolder) -> None:
     flip(release.root / location(release, GRASP_TRAIN, SHARD), 100)
     result = verify(release.path, "--repair")

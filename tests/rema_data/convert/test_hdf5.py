@@ -133,7 +133,7 @@ def test_what_is_not_there_cannot_be_exported(release: ReleaseFolder, tmp_path: 
     assert "hdf5" in error.value.hint
     with pytest.raises(MissingFileError, match="not on this machine") as missing:
         export_release(ReleaseFolder(release.manifest, tmp_path / "empty"), tmp_path)
-    assert "rema download" in missing.value.hint
+    assert "copy them again" in missing.value.hint
     assert files(tmp_path) == {}
 
 

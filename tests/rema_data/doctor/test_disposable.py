@@ -49,6 +49,16 @@ def test_damaged(machine: Path, cache: Path) -> None:
     assert states() == {cache.name: "damaged"}
 
 
+def test_damaged_content(machine: Path, cache: Path) -> None:
+    with (cache / "ee_mask.npy").open("rb+") as file:
+        file.seek(200)
+        file.write(b"damage")
+    assert states() == {cache.name: "ready"}
+    (found,) = disposables(local_releases(), contents=True)
+    assert (found.state, found.damaged) == ("damaged", ("ee_mask.npy",))
+    assert prune([found]) == (found,) and not cache.exists()
+
+
 def test_unfinished_and_partial(machine: Path, cache: Path) -> None:
     (cache.parent / f".{cache.name}.abc").mkdir()
     part = machine / "home" / "releases" / "tiny" / "round-1" / "steps.parquet.part"

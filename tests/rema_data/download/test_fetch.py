@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from rema_data.download import download
-from rema_data.errors import InputError, MissingFileError, RunMismatchError, StorageError
+from rema_data.errors import InputError, IntegrityError, MissingFileError, RunMismatchError, StorageError
 from rema_data.release.folder import downloads_folder
 from rema_data.release.registry import register
 from rema_data.store.block import BlockKey
@@ -122,8 +122,23 @@ def test_offline(publish: Publish, monkeypatch: pytest.MonkeyPatch, by_environme
 
 def test_no_source_at_all(publish: Publish) -> None:
     publish()
-    with pytest.raises(MissingFileError, match="no source is known"):
+    with pytest.raises(MissingFileError, match="no source is known") as caught:
         download("tiny")
+    assert caught.value.hint == "name a mirror: rema download tiny --source URL"
+
+
+def test_a_failed_download_leaves_no_empty_folders(publish: Publish) -> None:
+    tiny = publish(sizes=PARTS)
+    (tiny.folder / "tiny" / "round-1" / "push" / "train" / "a").unlink()
+    root = downloads_folder()
+    with pytest.raises(MissingFileError):
+        download("tiny", sources=["nowhere"])
+    assert [path.name for path in root.iterdir()] == [".tiny.lock"]
+    with pytest.raises(MissingFileError) as caught:
+        download("tiny", sources=[tiny.folder])
+    assert "same command again" not in caught.value.hint
+    folders = {path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_dir()}
+    assert "tiny/round-1/push" not in folders and "tiny/round-1/grasp/train" in folders
 
 
 def test_mirrors_of_the_manifest_come_last(publish: Publish, tmp_path: Path) -> None:
@@ -159,6 +174,14 @@ def test_an_unpublished_release_by_its_manifest(publish: Publish, tmp_path: Path
         download("other", manifest=path)
     with pytest.raises(MissingFileError, match="cannot be read"):
         download(manifest=tmp_path / "none.json")
+    shutil.rmtree(downloads_folder())
+    with pytest.raises(MissingFileError) as missing:
+        download(manifest=path)
+    assert missing.value.hint == f"name a mirror: rema download tiny --manifest {path} --source URL"
+    path.write_bytes(b"{}")
+    with pytest.raises(IntegrityError) as broken:
+        download(manifest=path)
+    assert broken.value.hint == f"copy {path} again from where it came from"
 
 
 def test_another_release_of_the_same_name_is_in_the_way(publish: Publish) -> None:

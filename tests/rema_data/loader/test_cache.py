@@ -18,7 +18,8 @@ import pytest
 import rema_data
 from rema_data.errors import IntegrityError, MissingFileError, StorageError
 from rema_data.loader import cache as caching
-from rema_data.loader.cache import DecodedCache, caches_folder, is_whole
+from rema_data.loader.cache import DecodedCache, caches_folder
+from rema_data.loader.record import damaged_files, has_digests, is_whole
 from rema_data.quantise import decode_heights
 from rema_data.release.folder import ReleaseFolder
 
@@ -79,6 +80,18 @@ def test_ready_cache_opens_where_nothing_can_be_written(small: ReleaseFolder, mo
     assert not list(caches_folder().glob("*.lock"))
 
 
+def overwrite(path: Path, offset: int, data: bytes) -> None:
+    with path.open("rb+") as file:
+        file.seek(offset)
+        file.write(data)
+
+
+def replace_in(path: Path, old: bytes, new: bytes) -> None:
+    data = path.read_bytes()
+    assert data.count(old, 0, 128) == 1 and len(old) == len(new)
+    path.write_bytes(data.replace(old, new, 1))
+
+
 DAMAGES: dict[str, Callable[[Path], object]] = {
     "truncated": lambda path: os.truncate(path / "scene.npy", 1000),
     "longer": lambda path: (path / "index.npy").write_bytes((path / "index.npy").read_bytes() + b"x"),
@@ -89,6 +102,11 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
     "of another version": lambda path: (path / "cache.json").write_text(
         json.dumps({**json.loads((path / "cache.json").read_text()), "version": 0})
     ),
+    "with a header of other bytes": lambda path: overwrite(path / "scene.npy", 0, bytes(20)),
+    "with a header of other words": lambda path: overwrite(path / "index.npy", 10, b"{'descr': [((("),
+    "with a header of fewer rows": lambda path: replace_in(path / "ee_mask.npy", b"'shape': (", b"'shape':(0"),
+    "with a header of another order": lambda path: replace_in(path / "scene.npy", b"False", b" True"),
+    "with a header of another type": lambda path: replace_in(path / "scene.npy", b"<i2", b"<u2"),
     "empty": lambda path: [file.unlink() for file in path.iterdir()],
 }
 
@@ -100,6 +118,27 @@ def test_damaged_cache_is_built_again(small: ReleaseFolder, damage: Callable[[Pa
     assert not is_whole(only_cache())
     assert contents(rema_data.load(small.path).cache) == first
     assert is_whole(only_cache())
+
+
+def test_damaged_content_is_found_by_its_checksum(small: ReleaseFolder) -> None:
+    rema_data.load(small.path).cache  # noqa: B018
+    path = only_cache()
+    assert has_digests(path) and damaged_files(path) == ()
+    overwrite(path / "scene.npy", 5000, b"damage")
+    assert is_whole(path)  # opening does not read it
+    assert damaged_files(path) == ("scene.npy",)
+
+
+def test_a_cache_of_an_earlier_rema_is_unknown_and_not_damaged(
+    small: ReleaseFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = contents(rema_data.load(small.path).cache)
+    record = json.loads((only_cache() / "cache.json").read_text())
+    del record["digests"]
+    (only_cache() / "cache.json").write_text(json.dumps(record))
+    assert is_whole(only_cache()) and not has_digests(only_cache()) and damaged_files(only_cache()) == ()
+    forbid_decoding(monkeypatch)
+    assert contents(rema_data.load(small.path).cache) == first
 
 
 def test_cache_removed_while_in_use_is_named(small: ReleaseFolder) -> None:
@@ -151,9 +190,10 @@ def test_flipped_bit_is_found(small: ReleaseFolder, which: str, cache: str | Non
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
     path.write_bytes(data)
-    with pytest.raises(IntegrityError, match="rema verify tiny") as caught:
+    with pytest.raises(IntegrityError, match="is not the one that was sealed") as caught:
         rema_data.load(small.path, cache=cache).steps()
-    assert str(path) in str(caught.value) and "rema download tiny" in str(caught.value)
+    assert str(path) in caught.value.message and "rema download" not in caught.value.hint
+    assert "copy it again" in caught.value.hint and f"rema verify {small.path}" in caught.value.hint
     assert not caches_folder().exists() or not [path for path in caches_folder().iterdir() if path.is_dir()]
 
 
@@ -162,7 +202,7 @@ def test_file_that_goes_meanwhile(small: ReleaseFolder) -> None:
     assert len(opened.blocks) == 4
     path = small.path / "round-1" / "push" / "val" / "steps.parquet"
     path.unlink()
-    with pytest.raises(MissingFileError, match="rema download tiny") as caught:
+    with pytest.raises(MissingFileError, match=f"rema verify {small.path}") as caught:
         opened.cache  # noqa: B018
     assert str(path) in str(caught.value)
 

@@ -94,12 +94,14 @@ def test_a_damaged_manifest_beside_the_data(places: Path, tiny: ReleaseFolder) -
     path = release.path / MANIFEST
     path.chmod(0o644)
     path.write_bytes(path.read_bytes()[:-20])
-    with pytest.raises(IntegrityError, match="cannot be used"):
+    with pytest.raises(IntegrityError, match="cannot be used") as caught:
         find_release(release.path)
+    assert caught.value.hint == f"copy {path} again from where the release came from"
 
 
 def test_blocks_are_here_when_all_their_files_have_their_size(places: Path, tiny: ReleaseFolder) -> None:
-    release = copied(tiny, places)
+    register(tiny.manifest)
+    release = copied(tiny, downloads_folder())
     victim = release.path / "round-1" / "grasp" / "val" / "steps.parquet"
     victim.chmod(0o644)
     victim.write_bytes(victim.read_bytes()[:-1])
@@ -108,7 +110,7 @@ def test_blocks_are_here_when_all_their_files_have_their_size(places: Path, tiny
     release.require(release.manifest.select("grasp", split="train"))
     with pytest.raises(MissingFileError, match="2 blocks of tiny are not on this machine") as caught:
         release.require(release.manifest.blocks)
-    assert caught.value.hint.endswith("rema download tiny --task grasp --task grasp_push")
+    assert caught.value.hint == "fetch them: rema download tiny --task grasp --task grasp_push --source URL"
 
 
 def test_blocks_of_a_parent_lie_beside_the_release(places: Path, tiny: ReleaseFolder) -> None:

@@ -44,6 +44,7 @@ def manifests(draw: st.DrawFn) -> Manifest:
     """Manifests that say what they like, and contradict nothing."""
     name, older = draw(NAMES), draw(NAMES)
     keys = draw(st.lists(KEYS, min_size=1, max_size=4, unique=True))
+    keys.sort(key=lambda key: (key.round, list(TASKS).index(key.task), key.split))
     blocks, files = [], [FileEntry("LICENSE", draw(COUNTS), draw(SHAS), name)]
     for key in keys:
         holder = draw(st.sampled_from([name, older]))
@@ -56,7 +57,7 @@ def manifests(draw: st.DrawFn) -> Manifest:
         name,
         *texts,
         tuple(blocks),
-        tuple(files),
+        tuple(sorted(files, key=lambda file: file.location)),
         fingerprint=draw(st.dictionaries(TEXT, TEXT, max_size=3)),
         plan_sha256=draw(TEXT),
         parent=draw(st.none() | st.builds(Parent, NAMES, SHAS)),
@@ -253,6 +254,15 @@ def changed(*place: Any, to: Any) -> Callable[[Any], None]:
         (changed("more", to=1), "it is not in canonical form"),
         (changed("published", to="soon"), "not a day such as"),
         (changed("published", to=""), "it is not in canonical form"),
+        (changed("published", to="2026-99-99"), "not a day such as"),
+        (changed("published", to="2026-02-30"), "not a day such as"),
+        (changed("published", to="٢٠٢٦-01-31"), "not a day such as"),
+        (lambda content: content["files"].reverse(), "the files are not in their order"),
+        (lambda content: content["blocks"].reverse(), "the blocks are not in their order"),
+        (changed("parent", "name", to="../../x"), "cannot name a release"),
+        (changed("parent", "sha256", to="zz"), "the parent older has the sha256 'zz'"),
+        (lambda content: content.pop("schema_version"), "the field schema_version is missing"),
+        (lambda content: content.pop("blocks"), "the field blocks is missing"),
         (changed("format", to="another release"), "it does not say that it is a rema release"),
         (changed("title", to="\ud800"), "surrogates not allowed"),
     ],
@@ -266,6 +276,7 @@ def test_a_contradiction_is_named(change: Callable[[Any], None], reason: str) ->
     with pytest.raises(IntegrityError, match=reason) as caught:
         parse_manifest(data, "some/manifest.json")
     assert "some/manifest.json" in caught.value.message
+    assert caught.value.hint == "copy some/manifest.json again from where it came from"
 
 
 def test_other_spelling_of_the_same_content_is_refused() -> None:

@@ -63,8 +63,9 @@ def test_an_unknown_name_lists_the_known_ones(places: Path, tiny: ReleaseFolder)
 def test_a_changed_or_deleted_manifest_is_not_the_published_one(places: Path, tiny: ReleaseFolder) -> None:
     path = register(tiny.manifest)
     path.write_bytes(path.read_bytes().replace(b"tests only", b"tests 0nly"))
-    with pytest.raises(IntegrityError, match="expected"):
+    with pytest.raises(IntegrityError, match="expected") as caught:
         load_published("tiny")
+    assert caught.value.hint == "restore it from the repository: git checkout -- manifests"
     path.unlink()
     with pytest.raises(MissingFileError, match=r"tiny\.json does not exist"):
         load_published("tiny")

@@ -141,7 +141,7 @@ def test_a_truncated_shard_is_found(keep: int, tmp_path: Path) -> None:
 def test_no_maps(tmp_path: Path) -> None:
     with pytest.raises(MissingFileError, match="there are no maps") as caught:
         MapsReader(tmp_path)
-    assert "rema download" in caught.value.hint
+    assert "rema verify" in caught.value.hint
 
 
 @pytest.mark.parametrize("data", [b"", b"{}", b"null", b"[", b"\xff\xfe", b'{"zarr_format": 3, "node_type": "group"}'])

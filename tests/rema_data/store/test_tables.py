@@ -83,7 +83,7 @@ TABLES = pytest.mark.parametrize(("name", "columns"), [(EPISODES, EPISODE_COLUMN
 def test_a_table_that_is_not_there(name: str, columns: tuple, tmp_path: Path) -> None:
     with pytest.raises(MissingFileError, match="does not exist") as caught:
         read_table(tmp_path / name, columns)
-    assert "rema download" in caught.value.hint
+    assert "rema verify" in caught.value.hint
 
 
 @TABLES

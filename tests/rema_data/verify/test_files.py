@@ -155,12 +155,13 @@ def test_unfinished_download_is_not_unexpected(downloaded: ReleaseFolder) -> Non
 
 
 def test_mending_command_depends_on_the_place(
-    release: ReleaseFolder, downloaded: ReleaseFolder, tmp_path: Path
+    release: ReleaseFolder, downloaded: ReleaseFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     for folder in (release, downloaded):
         flip(folder.root / location(folder, GRASP_TRAIN, SHARD), 100)
-    assert only(downloaded).mend == "rema verify tiny --repair"
-    assert only(release).mend == "use the published files: rema download tiny"
+    assert only(downloaded).mend == "rema verify tiny --repair --source URL"
+    assert only(release).mend.endswith("open them by their name: rema download tiny --source URL")
     (tmp_path / ".git").mkdir()
     assert only(release).mend == f"git checkout -- data/tiny/{GRASP_TRAIN.path}/{SHARD}"
     bundled = tmp_path / "_releases"
