@@ -20,6 +20,7 @@ from rema_data.loader.batch import StepBatch
 from rema_data.loader.dataset import StepDataset
 from rema_data.loader.release import Release
 from rema_data.manifests import manifests_dir
+from rema_data.release.mending import Mending
 from rema_data.samplers import BalancedSampler
 from rema_data.verify.leakage import frozen_lists, read_frozen, scene_keys
 
@@ -147,7 +148,7 @@ def refuse_test_scenes(release: Release, tasks: tuple[str, ...]) -> None:
                 raise IntegrityError(
                     f"step {row} of {block.key.path} in {release.name} is the scenario {frozen[key]}: nothing that is "
                     "tested may be trained on",
-                    hint=f"do not use this release; look at all of it: rema verify {release.name}",
+                    hint=f"do not use this release; look at all of it: {Mending(release.folder).verify}",
                     scenario=frozen[key],
                 )
 
