@@ -63,7 +63,7 @@ def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def rate(run: Summary) -> str:
     """Rate and interval of a run, percent."""
     low, high = run["ci95"]
-    return f"{100 * run['success_rate']:.1f} [{100 * low:.1f}, {100 * high:.1f}]"
+    return f"{100 * run['success_rate']:.2f} [{100 * low:.2f}, {100 * high:.2f}]"
 
 
 def rates_table(runs: Mapping[str, Summary], protocol: str) -> str:
@@ -121,7 +121,7 @@ def draw_rounds(found: Mapping[str, Mapping[int, Summary]], plan: RecursionPlan,
     axes.set_xticks(range(len(plan.rounds) + 1))
     axes.set_xlabel("trained on the data up to round (0: random policy)")
     axes.set_ylabel("success, % of test scenarios")
-    axes.set_ylim(0, 100)
+    axes.set_ylim(0, 104)
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, fontsize=8)
     FigureCanvasAgg(figure).print_png(str(path))
@@ -215,6 +215,10 @@ def page(plan: RecursionPlan, images: Path) -> str:
         networks_table(plan),
         f"Made by `rema rounds {plan.path.relative_to(ROOT)}`. "
         "Measured at the recorded actions of the validation split.",
+        "![Predicted maps over scenes](images/tae_maps.png)",
+        "The network after round 2 on steps of the validation split: the score of the best angle at every place, the best "
+        "action (blue), and the recorded one (green: it succeeded, red: it failed). `rema train --pictures FILE.png` draws "
+        "such a sheet.",
         "## The data by round",
         "![Data by round](images/data_by_round.png)",
         f"`rema stats releases/{newest} --plot docs/images/data_by_round.png`: {newest} has "
