@@ -217,7 +217,7 @@ def page(plan: RecursionPlan, images: Path) -> str:
         "Measured at the recorded actions of the validation split.",
         "![Predicted maps over scenes](images/tae_maps.png)",
         "The network after round 2 on steps of the validation split: the score of the best angle at every place, the "
-        "best action (blue), and the recorded one (green: it succeeded, red: it failed). `rema train --pictures FILE.png` "
+        "best action (blue), and the recorded one (green: it succeeded, red: it failed). `rema train --pictures FILE` "
         "draws such a sheet.",
         "## The data by round",
         "![Data by round](images/data_by_round.png)",
