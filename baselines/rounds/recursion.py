@@ -20,14 +20,14 @@ from baselines.rounds.recursion_plan import NetworkPlan, RecursionPlan, RoundPla
 from baselines.train.loop import Report, train, trained
 from evaluator.policy.shipped import CHECKPOINTS, publish_checkpoint
 from evaluator.runner import ProgressSink
-from rema_data.errors import MissingFileError, RunMismatchError
+from rema_data.errors import InputError, MissingFileError, RunMismatchError
 from rema_data.loader.release import Release, load
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, BlockEntry, parse_manifest
 from rema_data.release.registry import register
 from rema_data.storage import write_atomic
 
-__all__ = ["Stage", "Watcher", "publish", "recurse"]
+__all__ = ["Stage", "Watcher", "publish", "recurse", "train_network"]
 
 COSTS = "stages.json"
 """Beside the networks: what every stage took on the machine that finished it."""
@@ -114,6 +114,38 @@ def recurse(
             if stages is not None and sum(not stage.already for stage in done) >= stages:
                 return done
     return done
+
+
+def train_network(plan: RecursionPlan, releases: Path, place: str, watcher: Watcher, device: str = "cpu") -> Stage:
+    """Train one network of a plan alone, so that several machines, or processes, share the work of a round.
+
+    Parameters
+    ----------
+    plan, releases, watcher, device
+        As in ``recurse``.
+    place : str
+        ``FOLDER/NAME`` of the network.
+
+    Raises
+    ------
+    InputError
+        The plan has no such network.
+    MissingFileError
+        Its round is not sealed yet.
+    """
+    networks = {f"{one.folder}/{one.name}": (entry, one) for entry in plan.rounds for one in entry.networks}
+    if place not in networks:
+        raise InputError(f"{plan.path} has no network {place!r}", hint=f"it has: {', '.join(networks)}")
+    entry, network = networks[place]
+    recursion = _Recursion(plan, releases, watcher, None, device)
+    if recursion.sealed(entry) is None:
+        raise MissingFileError(
+            f"round {entry.number}, on which {place} is trained, is not sealed yet",
+            hint=f"collect it first: rema rounds {plan.path}",
+        )
+    stage = recursion.train(entry, network)
+    watcher.done(stage)
+    return stage
 
 
 def publish(plan: RecursionPlan, releases: Path) -> None:

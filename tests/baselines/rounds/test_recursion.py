@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from baselines.rounds.recursion import Stage, recurse
+from baselines.rounds.recursion import Stage, recurse, train_network
 from baselines.rounds.recursion_plan import load_recursion
 from baselines.tae.checkpoint import load_checkpoint
 from evaluator.runner import ProgressSink, Silent
@@ -135,6 +135,23 @@ def test_a_release_of_another_plan_is_not_taken_for_done(tmp_path: Path) -> None
     assert [stage.already for stage in watcher.stages] == [False]
     with pytest.raises(RunMismatchError, match="other episodes"):
         recurse(load_recursion(TINY), tmp_path / "out", watcher, stages=1)
+
+
+def test_one_network_alone(tmp_path: Path) -> None:
+    plan, watcher = load_recursion(TINY), Quiet()
+    with pytest.raises(MissingFileError, match="not sealed yet"):
+        train_network(plan, tmp_path, "round-1/grasp", watcher)
+    with pytest.raises(InputError, match="no network 'round-1/push'") as caught:
+        train_network(plan, tmp_path, "round-1/push", watcher)
+    assert "joint/push" in caught.value.hint
+    recurse(plan, tmp_path, watcher, stages=1, workers=1)
+    assert not train_network(plan, tmp_path, "round-1/grasp", watcher).already
+    assert train_network(plan, tmp_path, "round-1/grasp", watcher).already
+    again = recurse(plan, tmp_path, watcher, stages=1, workers=1)
+    assert [(stage.what, stage.already) for stage in again[:2]] == [
+        ("collect tiny-recursion-round-1", True),
+        ("train round-1/grasp", True),
+    ]
 
 
 def test_rounds_of_another_recursion_are_shared(tmp_path: Path) -> None:
