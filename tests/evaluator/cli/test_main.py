@@ -70,6 +70,7 @@ def test_stop_signals_interrupt_once_and_tidily(kind: signal.Signals) -> None:
         "    finally:\n"
         f"        os.kill(os.getpid(), {int(kind)}); print('tidied', flush=True)\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"  # the tests themselves may run under nohup
         "importlib.import_module('evaluator.cli.evaluate').evaluate = evaluate\n"
         "cli(['evaluate'], prog_name='rema')\n"
     )
