@@ -26,7 +26,10 @@ from matplotlib.figure import Figure
 
 from baselines.rounds.recursion_plan import RecursionPlan, load_recursion
 from baselines.tae.checkpoint import load_checkpoint
+from baselines.train.data import open_data
+from baselines.train.pictures import draw_maps
 from benchmarks.results import RESULTS, ROOT
+from rema_data.loader.release import load
 from rema_data.release.folder import find_release
 from rema_data.schema import TASKS
 from rema_data.statistics.count import count
@@ -182,6 +185,15 @@ def costs_table(plan: RecursionPlan) -> str:
     return markdown(["round", "stage", "minutes, two cores"], rows)
 
 
+def draw_sheet(plan: RecursionPlan, path: Path) -> None:
+    """Maps of the network after round 2, over steps of the validation split of its data."""
+    entry = plan.rounds[1]
+    (planned,) = entry.networks
+    network, _ = load_checkpoint(ROOT / "releases" / "checkpoints" / plan.name / planned.folder / planned.name)
+    data = open_data(load(ROOT / "releases" / entry.release), planned.config)
+    draw_maps(network, data.validation, path)
+
+
 def page(plan: RecursionPlan, images: Path) -> str:
     """The whole page; draws its figures."""
     images.mkdir(exist_ok=True)
@@ -218,14 +230,15 @@ def page(plan: RecursionPlan, images: Path) -> str:
         "![Predicted maps over scenes](images/tae_maps.png)",
         "The network after round 2 on steps of the validation split: the score of the best angle at every place, the "
         "best action (blue), and the recorded one (green: it succeeded, red: it failed). `rema train --pictures FILE` "
-        "draws such a sheet.",
+        "draws such a sheet; this one: `python benchmarks/baselines.py --maps`.",
         "## The data by round",
         "![Data by round](images/data_by_round.png)",
         f"`rema stats releases/{newest} --plot docs/images/data_by_round.png`: {newest} has "
         f"{counts['episodes']:,} episodes and {counts['steps']:,} steps.",
         "## What the recursion costs",
         costs_table(plan),
-        "Noted by `rema rounds` on the machine that did it; a stage that was interrupted counts its last run only.",
+        "Noted by `rema rounds` on the machine that did it; a stage that was interrupted counts its last run only. "
+        "Other work ran on the same two cores meanwhile, so these minutes are too high.",
     ]
     return "\n\n".join(part.strip() for part in parts) + "\n"
 
@@ -236,10 +249,13 @@ def main() -> None:
     parser.add_argument("--runs", nargs="*", type=Path, default=[])
     parser.add_argument("--plan", type=Path, default=ROOT / "manifests" / "plans" / "rema-v0.toml")
     parser.add_argument("--page", type=Path, default=PAGE)
+    parser.add_argument("--maps", action="store_true", help="also draw the predicted maps anew")
     arguments = parser.parse_args()
     kept = RESULTS / "runs"
     for run in arguments.runs:
         shutil.copyfile(run / "summary.json", kept / f"{run.name}.json")
+    if arguments.maps:
+        draw_sheet(load_recursion(arguments.plan.resolve()), arguments.page.parent / "images" / "tae_maps.png")
     made = page(load_recursion(arguments.plan.resolve()), arguments.page.parent / "images")
     arguments.page.write_text(made, encoding="utf-8")
     print(arguments.page)

@@ -36,7 +36,7 @@ for round in 1 2; do
   rema evaluate tae --checkpoint "releases/checkpoints/rema-v0/round-$round" --task grasp \
     --output "runs/round-$round-grasp-conditional"
 done
-python benchmarks/baselines.py --runs runs/*
+python benchmarks/baselines.py --maps --runs runs/*
 python benchmarks/train.py --json $results/train.json
 python benchmarks/infer.py --checkpoint releases/checkpoints/rema-v0/joint --runtimes --json $results/infer.json
 python benchmarks/report.py
