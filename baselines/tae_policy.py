@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import expit
 
 from baselines.tae.checkpoint import load_checkpoint, networks_in
 from baselines.tae.scoring import Scorer
@@ -18,11 +19,14 @@ from rema_data import grid
 from rema_data.errors import InputError
 from rema_data.schema import Embodiment, Primitive, StepKind, skill
 
-__all__ = ["TaePolicy"]
+__all__ = ["TIE", "TaePolicy"]
+
+TIE = 1e-4
+"""Log odds this near are equal: a gripper turned by half is the same gripper, and only rounding tells the two apart."""
 
 
 class TaePolicy:
-    """The action with the highest score among the valid ones; the lowest grid index where several are equal.
+    """The valid action with the highest score; the lowest grid index where several are equal (``TIE``).
 
     Parameters
     ----------
@@ -52,15 +56,21 @@ class TaePolicy:
 
     def act(self, observations: ObservationBatch) -> npt.NDArray[np.int64]:
         """Grid indices, int64 (N,)."""
-        scores = self.maps(observations)
-        masked = np.where(observations.valid[..., : scores.shape[-1]], scores, np.float32(-1))
-        best = masked.reshape(len(scores), -1).argmax(axis=1)
+        # Not of the probabilities: of a network that is sure, many round to 1, and the first of them is any of them.
+        scores = self._log_odds(observations)
+        masked = np.where(observations.valid[..., : scores.shape[-1]], scores, np.float32(-np.inf))
+        flat = masked.reshape(len(scores), -1)
+        best = (flat >= flat.max(axis=1, keepdims=True) - TIE).argmax(axis=1)
         cell, k = np.divmod(best, scores.shape[-1])
         actions: npt.NDArray[np.int64] = cell * grid.ANGLES + k
         return actions
 
     def maps(self, observations: ObservationBatch) -> npt.NDArray[np.float32]:
         """Probability of success, float32 (N, 64, 64, K); K is 8 where two arms act as one and grasp, else 16."""
+        probabilities: npt.NDArray[np.float32] = expit(self._log_odds(observations))
+        return probabilities
+
+    def _log_odds(self, observations: ObservationBatch) -> npt.NDArray[np.float32]:
         kind = StepKind(Primitive(observations.primitive), Embodiment(observations.embodiment))
         scorer = self._by_skill.get(skill(kind), self._by_primitive.get(kind.primitive))
         if scorer is None:
@@ -71,4 +81,4 @@ class TaePolicy:
             )
         last = int(np.flatnonzero(observations.valid.any(axis=(0, 1, 2)))[-1])
         angles = grid.PAIR_ANGLES if last < grid.PAIR_ANGLES else grid.ANGLES
-        return scorer.maps(observations.scene, observations.end_effector, angles)
+        return scorer.log_odds(observations.scene, observations.end_effector, angles)

@@ -29,7 +29,7 @@ from baselines.tae.checkpoint import load_checkpoint
 from baselines.tae.network import TaeNetwork
 from baselines.tae.rotation import turn_end_effector
 from baselines.tae.scoring import folded
-from baselines.tae_policy import TaePolicy
+from baselines.tae_policy import TIE, TaePolicy
 from benchmarks.results import finish, parser, target
 from evaluator.policy import ObservationBatch
 from evaluator.scenarios import load_list
@@ -71,9 +71,10 @@ def plain(network: TaeNetwork, question: ObservationBatch, angles: int) -> np.nd
         hand = torch.from_numpy(np.ascontiguousarray(np.moveaxis(question.end_effector[n], -1, 0)))[None]
         turned = turn_end_effector(hand.expand(angles, -1, -1, -1), torch.arange(angles))
         scene = torch.from_numpy(question.scene[n])[None, None].expand(angles, -1, -1, -1)
-        scores = torch.softmax(network(scene.contiguous(), turned), 1)[:, 1].movedim(0, -1).numpy()
-        masked = np.where(question.valid[n, ..., :angles], scores, -1).reshape(-1)
-        cell, k = divmod(int(masked.argmax()), angles)
+        logits = network(scene.contiguous(), turned)
+        scores = (logits[:, 1] - logits[:, 0]).movedim(0, -1).numpy()
+        masked = np.where(question.valid[n, ..., :angles], scores, -np.inf).reshape(-1)
+        cell, k = divmod(int((masked >= masked.max() - TIE).argmax()), angles)
         actions.append(cell * 16 + k)
     return np.array(actions)
 

@@ -47,11 +47,13 @@ class Picker:
     checkpoint : Path or None
     log : Path
         Where what it prints is kept.
+    device : str
     """
 
     spec: PolicySpec
     checkpoint: Path | None
     log: Path
+    device: str = "cpu"
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +115,7 @@ def picked_list(
     engine = make_engine("process", workers, world.simulator)
     spawn = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, mp_context=spawn, initializer=die_with, initargs=(os.getpid(),))
-    with pool, closing(engine), world.open_policy(picker.spec, picker.checkpoint, "cpu", picker.log) as policy:
+    with pool, closing(engine), world.open_policy(picker.spec, picker.checkpoint, picker.device, picker.log) as policy:
         for start in range(0, count, _PICKED_CHUNK):
             indices = range(start, min(start + _PICKED_CHUNK, count))
             generators = {index: episode_generator(ROOT_SEED, split, task, index) for index in indices}

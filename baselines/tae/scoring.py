@@ -1,7 +1,8 @@
 """Maps of success: what a network says of every place and angle of some scenes.
 
 The scene is encoded once for all angles, an end effector once for all scenes that it meets; bare hands, which most
-steps have, keep their kernels. Batch normalisation is folded into the convolutions: the same numbers up to rounding.
+steps have, keep their kernels. Hands that look the same turned by half, as bare ones do, are scored at half of the
+angles. Batch normalisation is folded into the convolutions. All of it gives the same numbers up to rounding.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from baselines.tae.network import TaeNetwork
+from baselines.tae.openvino import OPENVINO, compiled
 from baselines.tae.rotation import turn_end_effector
-from rema_data.grid import SCENE_PIXELS
+from rema_data.grid import ANGLES, SCENE_PIXELS
 
 __all__ = ["Scorer"]
 
@@ -36,18 +38,25 @@ class Scorer:
     network : TaeNetwork
         Left as it is.
     device : str
+        Of torch; or ``openvino``: the processor, through OpenVINO.
+
+    Raises
+    ------
+    InputError
+        OpenVINO is asked for and not installed.
     """
 
     def __init__(self, network: TaeNetwork, device: str = "cpu") -> None:
-        self._network = folded(network).placed(device)
-        self._device = torch.device(device)
+        self._device = torch.device("cpu" if device == OPENVINO else device)
+        placed = folded(network).placed(self._device)
+        self._network = compiled(placed) if device == OPENVINO else placed
         self._kernels: OrderedDict[tuple[bytes, int], Tensor] = OrderedDict()
 
     @torch.inference_mode()
-    def maps(
+    def log_odds(
         self, scene: npt.NDArray[np.float32], end_effector: npt.NDArray[np.float32], angles: int
     ) -> npt.NDArray[np.float32]:
-        """Probability of success of every action.
+        """Log odds of success of every action: the logit of success less that of failure.
 
         Parameters
         ----------
@@ -67,12 +76,16 @@ class Scorer:
         features = self._network.encode_scene(scenes.contiguous(memory_format=torch.channels_last))
         scores = torch.empty((count, angles, SCENE_PIXELS, SCENE_PIXELS), device=self._device)
         for members, hand in _groups(end_effector):
-            kernels = self._kernels_of(hand, angles)
+            half = ANGLES // 2
+            distinct = half if angles == ANGLES and np.array_equal(hand, hand[::-1, ::-1]) else angles
+            kernels = self._kernels_of(hand, distinct)
             for n in members:
-                for first in range(0, angles, _PAIRS):
+                for first in range(0, distinct, _PAIRS):
                     part = kernels[first : first + _PAIRS]
                     logits = self._network.decode(features[n : n + 1].expand(len(part), -1, -1, -1), part)
-                    scores[n, first : first + _PAIRS] = torch.sigmoid(logits[:, 1] - logits[:, 0])
+                    scores[n, first : first + _PAIRS] = logits[:, 1] - logits[:, 0]
+                if distinct < angles:
+                    scores[n, half:] = scores[n, :half]
         result: npt.NDArray[np.float32] = scores.movedim(1, -1).cpu().numpy()
         return result
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from scipy.special import expit
 
 from baselines.tae.network import TaeNetwork
 from baselines.tae.scoring import Scorer
@@ -62,7 +63,7 @@ def draw_maps(network: TaeNetwork, data: StepDataset, path: Path) -> None:
     for n, (axes, (_, row)) in enumerate(zip(figure.axes, table.iterrows(), strict=False)):
         pair = Embodiment(str(row["embodiment"])).two_arms
         angles = PAIR_ANGLES if pair else ANGLES
-        scores = scorer.maps(maps.scene[n].numpy(), hands[n : n + 1], angles)[0]
+        scores = expit(scorer.log_odds(maps.scene[n].numpy(), hands[n : n + 1], angles)[0])
         scores[~inside_valid_square()] = 0.0
         axes.imshow(maps.scene[n, 0].numpy(), cmap="Greys", vmin=0, vmax=0.08, origin="lower")
         shown = axes.imshow(scores.max(-1), cmap="inferno", vmin=0, vmax=1, origin="lower", alpha=0.55)

@@ -16,6 +16,7 @@ from rema_data.schema import TASKS
 @click.option("--val", "val_count", default=2_000, show_default=True, help="Scenarios in each validation list.")
 @click.option("--picker", help="Policy that picks the tools, such as tae.  [default: the reference picks]")
 @click.option("--checkpoint", type=click.Path(path_type=Path), help="Its networks.")
+@click.option("--device", default="cpu", show_default=True, help="Handed to the picker, such as openvino.")
 @click.option("--workers", default=0, help="Processes; as many as there are cores by default.")
 def scenarios(
     version: str,
@@ -24,6 +25,7 @@ def scenarios(
     val_count: int,
     picker: str | None,
     checkpoint: Path | None,
+    device: str,
     workers: int,
 ) -> None:
     """Draw scenario lists under manifests/scenarios/VERSION. A list that is already there is never changed."""
@@ -40,7 +42,7 @@ def scenarios(
     if picker is not None:
         spec = resolve(picker)
         weights = check_checkpoint(checkpoint) or shipped_checkpoint(spec.name)
-        chosen = Picker(spec, weights, manifest_path(version).with_name("policy.log"))
+        chosen = Picker(spec, weights, manifest_path(version).with_name("policy.log"), device)
     counts = {"test": test_count, "val": val_count}
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bars:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -49,14 +50,14 @@ def question(*situations: Situation) -> ObservationBatch:
 
 
 @torch.no_grad()
-def plain_maps(network: TaeNetwork, batch: ObservationBatch, angles: int) -> np.ndarray:
+def plain_log_odds(network: TaeNetwork, batch: ObservationBatch, angles: int) -> np.ndarray:
     """All angles of all observations one by one, without any sharing."""
     out = np.empty((len(batch), 64, 64, angles), np.float32)
     for n in range(len(batch)):
         hand = torch.from_numpy(np.moveaxis(batch.end_effector[n], -1, 0).copy())[None]
         for k in range(angles):
             logits = network(torch.from_numpy(batch.scene[n])[None, None], turn_end_effector(hand, torch.tensor([k])))
-            out[n, ..., k] = torch.softmax(logits, 1)[0, 1].numpy()
+            out[n, ..., k] = (logits[0, 1] - logits[0, 0]).numpy()
     return out
 
 
@@ -64,9 +65,25 @@ def plain_maps(network: TaeNetwork, batch: ObservationBatch, angles: int) -> np.
 def test_shared_features_and_kept_kernels_change_nothing(name: str) -> None:
     network, batch = settled(), question(SITUATIONS[name], SITUATIONS[name])
     scorer = Scorer(network)
-    first, again = (scorer.maps(batch.scene, batch.end_effector, 16) for _ in range(2))
+    first, again = (scorer.log_odds(batch.scene, batch.end_effector, 16) for _ in range(2))
     assert np.array_equal(first, again)
-    np.testing.assert_allclose(first, plain_maps(network, batch, 16), atol=2e-5)
+    np.testing.assert_allclose(first, plain_log_odds(network, batch, 16), atol=1e-4)
+
+
+@pytest.mark.parametrize("name", SITUATIONS)
+def test_openvino_scores_the_same_and_decides_the_same(joint: Path, name: str) -> None:
+    pytest.importorskip("openvino")
+    batch = question(SITUATIONS[name])
+    ours, theirs = TaePolicy(joint), TaePolicy(joint, "openvino")
+    np.testing.assert_allclose(ours.maps(batch), theirs.maps(batch), atol=2e-5)
+    assert np.array_equal(ours.act(batch), theirs.act(batch))
+
+
+def test_openvino_that_is_missing_is_named(joint: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "openvino", None)
+    with pytest.raises(InputError, match="OpenVINO is not installed") as caught:
+        TaePolicy(joint, "openvino")
+    assert caught.value.hint == 'pip install "rema[openvino]"'
 
 
 def write_policy(folder: Path, *networks: tuple[str, str, tuple[str, ...], int]) -> Path:
@@ -91,13 +108,33 @@ def test_the_best_valid_action_is_taken(joint: Path, name: str) -> None:
     assert batch.valid[0, i, j, k]
     maps = policy.maps(batch)
     assert maps.shape[-1] == (8 if name in ("sticks", "pinched") else 16)
-    assert maps[0, i, j, k] == maps[0][batch.valid[0][..., : maps.shape[-1]]].max()
+    assert maps[0, i, j, k] >= maps[0][batch.valid[0][..., : maps.shape[-1]]].max() - 1e-4
 
 
 def test_ties_go_to_the_lowest_index(joint: Path) -> None:
     policy, batch = TaePolicy(joint), question(SITUATIONS["gripper_grasp"])
-    policy.maps = lambda observations: np.full((1, 64, 64, 16), 0.5, np.float32)  # type: ignore[method-assign]
+    policy._log_odds = lambda observations: np.full((1, 64, 64, 16), 0.5, np.float32)  # type: ignore[method-assign]
     assert policy.act(batch)[0] == np.flatnonzero(batch.valid[0].reshape(-1))[0]
+
+
+def test_rounding_does_not_decide_between_equal_scores(joint: Path) -> None:
+    policy, batch = TaePolicy(joint), question(SITUATIONS["gripper_grasp"])
+    first, other = np.flatnonzero(batch.valid[0].reshape(-1))[[100, 200]]
+    scores = np.zeros((1, 64, 64, 16), np.float32)
+    scores.reshape(-1)[[first, other]] = 5.0, 5.00001
+    policy._log_odds = lambda observations: scores  # type: ignore[method-assign]
+    assert policy.act(batch)[0] == first
+    scores.reshape(-1)[other] = 5.001
+    assert policy.act(batch)[0] == other
+
+
+def test_a_sure_network_still_prefers_one_action(joint: Path) -> None:
+    policy, batch = TaePolicy(joint), question(SITUATIONS["gripper_grasp"])
+    first, other = np.flatnonzero(batch.valid[0].reshape(-1))[[100, 200]]
+    scores = np.zeros((1, 64, 64, 16), np.float32)
+    scores.reshape(-1)[[first, other]] = 40.0, 41.0  # both are probabilities of 1 in float32
+    policy._log_odds = lambda observations: scores  # type: ignore[method-assign]
+    assert policy.act(batch)[0] == other
 
 
 def test_every_skill_has_its_network(tmp_path: Path) -> None:
