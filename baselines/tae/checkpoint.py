@@ -24,6 +24,7 @@ from safetensors.torch import load, save
 from torch import Tensor
 
 from baselines.tae.network import Architecture, TaeNetwork
+from evaluator.policy.refusals import conversion_command
 from rema_data.errors import InputError, IntegrityError, MissingFileError
 from rema_data.storage import storage_errors, write_atomic
 
@@ -120,7 +121,7 @@ def load_checkpoint(path: Path) -> tuple[TaeNetwork, Checkpoint]:
     if path.suffix in (".pt", ".pth", ".ckpt", ".pkl", ".bin"):
         raise InputError(
             f"{path} is a pickle, which can run any code when it is opened",
-            hint="save the weights with safetensors.torch.save_file, or train with rema train",
+            hint=f"convert its weights, and write a card as rema train does: {conversion_command(path)}",
             path=str(path),
         )
     stem = path.with_suffix("") if path.suffix in (WEIGHTS, CARD) else path

@@ -5,6 +5,8 @@
     loading   "my_policy.py:Name" or a built-in name  ->  PolicySpec (a file and a class, nothing imported)
     shipped   a built-in name  ->  the networks that come with the repository
     host      the judge's end: one child process, deadlines, contract checks  ->  answers or counted faults
+    enclosure what that process is started with: command, environment, limits, what it may reach
+    walls     inside it, before anything of the policy is read: the kernel denies the rest
     child     the policy's end: imports the file and answers batches
     wire      the frames between both ends
 """
@@ -12,14 +14,17 @@
 from __future__ import annotations
 
 from evaluator.policy.faults import Answer, PolicyFault
-from evaluator.policy.host import PolicyHost, PolicyLimits
+from evaluator.policy.host import PolicyHost
 from evaluator.policy.interface import ObservationBatch, Policy, PrivilegedPolicy
+from evaluator.policy.isolation import Isolation, Wall
+from evaluator.policy.limits import PolicyLimits
 from evaluator.policy.loading import BUILT_INS, PolicySpec, digest, resolve
 from evaluator.policy.shipped import shipped_checkpoint
 
 __all__ = [
     "BUILT_INS",
     "Answer",
+    "Isolation",
     "ObservationBatch",
     "Policy",
     "PolicyFault",
@@ -27,6 +32,7 @@ __all__ = [
     "PolicyLimits",
     "PolicySpec",
     "PrivilegedPolicy",
+    "Wall",
     "digest",
     "resolve",
     "shipped_checkpoint",

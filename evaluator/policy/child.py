@@ -1,21 +1,20 @@
-"""The policy's own process: imports the submitted file, then answers batches until the judge hangs up.
+"""The policy's end of the pipes: imports the submitted file, then answers batches until the judge hangs up.
 
-Started as ``python -m evaluator.policy.child REQUEST_FD REPLY_FD`` by the host. Whatever the policy prints goes to the
-host's log; questions and replies have pipes of their own.
+``evaluator.policy.walls`` calls it once the walls stand. Whatever the policy prints goes to the host's log; questions
+and replies have pipes of their own.
 """
 
 from __future__ import annotations
 
-import ctypes
 import importlib.util
 import io
 import os
 import queue
-import resource
 import signal
 import sys
 import threading
 import traceback
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +25,9 @@ from evaluator.policy.wire import MAX_HEADER, frame_parts, read_batch, read_fram
 
 _TRACEBACK_LINES = 12
 _MESSAGE_CHARACTERS = 2000
-_PR_SET_PDEATHSIG = 1
 _ANY_SIZE = 1 << 40
+
+__all__ = ["serve"]
 
 Question = tuple[dict[str, Any], dict[str, Any]]
 
@@ -36,11 +36,16 @@ class Refusal(Exception):
     """Why the policy cannot be used, in words for its author."""
 
 
-def main(arguments: list[str]) -> None:
-    """Load the policy named by the first question, then answer the others."""
-    _die_with_parent()
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    request_fd, reply_fd = (int(text) for text in arguments)
+def serve(request_fd: int, reply_fd: int, report: dict[str, Any]) -> None:
+    """Say which walls stand, load the policy that the first question names, and answer the others.
+
+    Parameters
+    ----------
+    request_fd, reply_fd : int
+    report : dict
+        Sent before anything of the policy is read: nothing of it can change what is said.
+    """
+    _reply(reply_fd, {"op": "enclosed", **report})
     questions: queue.Queue[Question] = queue.Queue()
     threading.Thread(target=_listen, args=(request_fd, questions), daemon=True).start()
 
@@ -60,12 +65,6 @@ def main(arguments: list[str]) -> None:
         _reply(reply_fd, {"op": "acted", "number": header["number"], **reply}, answer)
 
 
-def _die_with_parent() -> None:
-    """Let the kernel end this process with the judge, also while the policy holds the interpreter."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-
-
 def _listen(request_fd: int, questions: queue.Queue[Question]) -> None:
     """Queue every question; when the judge is gone, end the whole process group."""
     try:
@@ -83,7 +82,9 @@ def _listen(request_fd: int, questions: queue.Queue[Question]) -> None:
                 op = question[0]["op"]
                 questions.put(question)
     except BaseException:
-        os.killpg(0, signal.SIGKILL)
+        with suppress(OSError):
+            os.killpg(0, signal.SIGKILL)
+        os.kill(os.getpid(), signal.SIGKILL)  # behind the walls it may signal itself alone
 
 
 def _load(order: dict[str, Any]) -> tuple[Any, bool]:
@@ -161,7 +162,3 @@ def _reply(reply_fd: int, header: dict[str, Any], answer: np.ndarray[Any, Any] |
         view = memoryview(part)
         while view:
             view = view[os.write(reply_fd, view) :]
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import psutil
 
-__all__ = ["Guard", "end_family"]
+__all__ = ["Guard", "end_family", "remove_folder"]
 
 # `read` succeeds when the judge says goodbye, and fails when the judge is gone. The kernel has ended the policy by
 # then; what it started lives on in its group.
-_SCRIPT = 'read -r goodbye && exit; kill -s KILL -- "-$1"; rm -rf -- "$2"'
+_SCRIPT = 'read -r goodbye && exit; kill -s KILL -- "-$1"; chmod -R u+rwx -- "$2"; rm -rf -- "$2"'
 
 
 class Guard:
@@ -70,7 +70,17 @@ def end_family(process: subprocess.Popen[bytes], folder: Path) -> None:
         with suppress(psutil.Error):
             member.kill()
     process.wait()
-    shutil.rmtree(folder, ignore_errors=True)
+    remove_folder(folder)
+
+
+def remove_folder(folder: Path) -> None:
+    """Remove a folder that somebody else filled: folders that may not be entered, or nested without end."""
+    with suppress(RecursionError):
+        shutil.rmtree(folder, ignore_errors=True)
+    if folder.exists():
+        for command in (["chmod", "-R", "u+rwx"], ["rm", "-rf"]):
+            with suppress(OSError):
+                subprocess.run([*command, "--", str(folder)], check=False, stderr=subprocess.DEVNULL)
 
 
 def _strayed(folder: Path) -> list[psutil.Process]:

@@ -3,56 +3,29 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+import secrets
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from evaluator.policy.enclosure import Enclosure
 from evaluator.policy.faults import Answer, FaultReason, PolicyFault, check_answer
 from evaluator.policy.interface import ObservationBatch
+from evaluator.policy.isolation import Isolation, isolation_of
+from evaluator.policy.limits import PolicyLimits
 from evaluator.policy.loading import PolicySpec, check_checkpoint
 from evaluator.policy.output import CappedOutput
-from evaluator.policy.process import ChildDeath, ChildNoise, ChildProcess, ChildTimeout
+from evaluator.policy.process import ChildDeath, ChildGreed, ChildNoise, ChildProcess, ChildTimeout
+from evaluator.policy.refusals import printable, refusal_hint
 from evaluator.policy.wire import batch_frame, frame_parts
 from rema_data.errors import InputError, SubmissionError
 from rema_data.schema import Situation
 
-__all__ = ["PolicyHost", "PolicyLimits"]
+__all__ = ["PolicyHost"]
 
 _LOG = logging.getLogger(__name__)
 _LONGEST_NUMBER = 8  # bytes of one returned number
-_OUTPUT_SHOWN = 2000
 _WARNINGS = 3  # failed batches that are logged as warnings: the counts are in the summary
-
-
-@dataclass(frozen=True, slots=True)
-class PolicyLimits:
-    """What a policy may take.
-
-    Attributes
-    ----------
-    start_s : float
-        From the start of the process until the constructor returned.
-    batch_s : float
-        For one batch.
-    single_s : float
-        For one observation of a batch that failed, at most ``batch_s``.
-    log_head_bytes, log_tail_bytes : int
-        Kept of the beginning and of the end of what the policy prints.
-    retried_batches : int
-        Failed batches in a row whose observations are asked again one by one; after these a failed batch is charged
-        whole, until one succeeds. A batch that raised does not count if any of its observations is answered alone.
-    deaths_in_row : int
-        While asking one by one: time-outs and deaths in a row after which the rest of the batch is charged too.
-    """
-
-    start_s: float = 120.0
-    batch_s: float = 60.0
-    single_s: float = 20.0
-    log_head_bytes: int = 256 << 10
-    log_tail_bytes: int = 64 << 10
-    retried_batches: int = 3
-    deaths_in_row: int = 3
 
 
 class PolicyHost:
@@ -66,12 +39,19 @@ class PolicyHost:
         Handed to the policy as it is.
     limits : PolicyLimits
     log : Path or None
-        Where the policy's output is appended when the host closes; None keeps it in memory (``output``).
+        Where the policy's output is appended when the host closes; None keeps it in memory (``output``). It lies in the
+        folder of the run, which the policy is kept from.
+    walls : bool
+        Whether the kernel is asked to deny the policy what it has no need of; what stands then is in ``isolation``.
+    sandbox : str or None
+        A wrapper's command that is put before the policy's, see ``evaluator.policy.sandbox``.
 
     Raises
     ------
     MissingFileError
-        On entering, when the checkpoint is not there.
+        When the checkpoint is not there.
+    InputError
+        When the wrapper's command cannot be used.
     SubmissionError
         On entering, when the file does not import, has no such class, or its constructor raises or hangs.
 
@@ -87,16 +67,23 @@ class PolicyHost:
         device: str = "cpu",
         limits: PolicyLimits | None = None,
         log: Path | None = None,
+        *,
+        walls: bool = True,
+        sandbox: str | None = None,
     ) -> None:
         self._spec = spec
         self._checkpoint = check_checkpoint(checkpoint)
         self._device = device
         self._limits = limits or PolicyLimits()
         self._log = log
+        self._enclosure = Enclosure(spec.path, self._checkpoint, self._limits, log, walls, sandbox)
         self._output = CappedOutput(log, self._limits.log_head_bytes, self._limits.log_tail_bytes)
         self._child: ChildProcess | None = None
+        self._isolation: Isolation | None = None
         self._privileged = False
-        self._number = 0
+        self._asked = 0
+        self._waited_s = 0.0  # for processes that are gone
+        self._overdrawn: PolicyFault | None = None
         self._failed_batches = 0
         self._warned = 0
         self.restarts = 0
@@ -105,6 +92,13 @@ class PolicyHost:
     def privileged(self) -> bool:
         """Whether the policy is shown the ground truth; known after entering."""
         return self._privileged
+
+    @property
+    def isolation(self) -> Isolation:
+        """Which walls stand around the policy, and the level that they add up to; known after entering."""
+        if self._isolation is None:
+            raise InputError("a policy's isolation is not known before its process runs", hint="enter the host first")
+        return self._isolation
 
     @property
     def output(self) -> str:
@@ -147,6 +141,7 @@ class PolicyHost:
             raise InputError("a privileged policy needs one situation an observation", hint="pass `situations`")
         if len(batch) == 0:
             return []
+        self._asked += len(batch)
         shown = situations if self._privileged else None
         answers = self._ask(batch, shown, self._limits.batch_s)
         if isinstance(answers, list):
@@ -183,28 +178,33 @@ class PolicyHost:
         self, batch: ObservationBatch, shown: tuple[Situation, ...] | None, seconds: float
     ) -> list[Answer] | PolicyFault:
         """Answers of a batch within ``seconds``, or the fault that left it without any."""
+        left_s = self._left_s()
+        if left_s <= 0:
+            return self._overdraw()
         if self._child is None:
             try:
                 self._start()
-            except SubmissionError as error:
+            except (SubmissionError, InputError) as error:
                 return PolicyFault(FaultReason.RESTART, error.message)
             self.restarts += 1
         assert self._child is not None
-        self._number += 1
+        number = secrets.randbits(53)  # a count would tell a policy how far the run is
         try:
             header, arrays = self._child.ask(
-                batch_frame(self._number, batch, shown), seconds, len(batch) * 3 * _LONGEST_NUMBER
+                batch_frame(number, batch, shown), min(seconds, left_s), len(batch) * 3 * _LONGEST_NUMBER
             )
         except ChildTimeout:
             self._drop()
+            if seconds > left_s:
+                return self._overdraw()
             return PolicyFault(FaultReason.TIMEOUT, f"no answer within {seconds:g} s")
-        except ChildDeath as death:
+        except (ChildDeath, ChildGreed) as death:
             self._drop()
             return PolicyFault(FaultReason.DIED, str(death))
         except ChildNoise as noise:
             self._drop()
             return PolicyFault(FaultReason.PROTOCOL, str(noise))
-        if header.get("op") != "acted" or header.get("number") != self._number:
+        if header.get("op") != "acted" or header.get("number") != number:
             self._drop()
             return PolicyFault(FaultReason.PROTOCOL, "the reply belongs to no question")
         if header.get("ok") is True and "answer" in arrays:
@@ -212,10 +212,28 @@ class PolicyHost:
         fault = _reported_fault(header)
         return fault if fault.reason == FaultReason.EXCEPTION else [fault] * len(batch)
 
+    def _left_s(self) -> float:
+        """Seconds that the whole run may still wait for the policy."""
+        if self._overdrawn:
+            return 0.0
+        waited_s = self._waited_s + (0.0 if self._child is None else self._child.waited_s)
+        return self._limits.run_s + self._limits.observation_s * self._asked - waited_s
+
+    def _overdraw(self) -> PolicyFault:
+        """The fault of every observation from now on."""
+        self._drop()
+        if self._overdrawn is None:
+            self._overdrawn = PolicyFault(
+                FaultReason.TIMEOUT,
+                f"the policy used up its time: {self._limits.run_s:g} s and {self._limits.observation_s:g} s for each "
+                f"of {self._asked} observations",
+            )
+        return self._overdrawn
+
     def _start(self) -> None:
         spec = self._spec
-        self._child = ChildProcess(self._output)
-        order = {
+        self._child = ChildProcess(self._output, self._enclosure)
+        load = {
             "op": "load",
             "path": str(spec.path),
             "class_name": spec.class_name,
@@ -223,32 +241,50 @@ class PolicyHost:
             "device": self._device,
         }
         try:
-            header, _ = self._child.ask(frame_parts(order, {}), self._limits.start_s, 0)
+            self._enclose(self._child)
+            left_s = self._limits.start_s - self._child.waited_s
+            header, _ = self._child.ask(frame_parts(load, {}), left_s, 0)
         except ChildTimeout:
             raise self._refusal(f"did not start within {self._limits.start_s:g} s") from None
-        except (ChildDeath, ChildNoise) as death:
+        except (ChildDeath, ChildGreed, ChildNoise) as death:
             raise self._refusal(f"{death} while it started") from None
         if header.get("ok") is not True:
-            message = _printable(header.get("message", "could not be loaded"))
-            raise self._refusal(message, _printable(header.get("where", "")), _printable(header.get("traceback", "")))
+            message = printable(header.get("message", "could not be loaded"))
+            raise self._refusal(message, printable(header.get("where", "")), printable(header.get("traceback", "")))
         self._privileged = header.get("privileged") is True
+
+    def _enclose(self, child: ChildProcess) -> None:
+        """Have the walls put up; nothing of the policy was read before."""
+        sandbox = self._enclosure.sandbox
+        orders = self._enclosure.orders(child.folder)
+        try:
+            report, _ = child.ask(frame_parts(orders, {}), self._limits.start_s, 0)
+        except (ChildTimeout, ChildDeath, ChildNoise) as error:
+            if sandbox is None:
+                raise
+            self._drop()
+            raise InputError(
+                f"no process of Python came up in --sandbox {sandbox!r}: {error or 'it took too long'}",
+                hint=f"{printable(self._output.text()).strip()}\nlet it see the folders of Python and of this package",
+            ) from None
+        found = isolation_of(report, sandbox)
+        if self._isolation not in (None, found):
+            raise self._refusal(f"other walls stand around it than at first: {found}")
+        self._isolation = found
 
     def _refusal(self, message: str, where: str = "", trace: str = "") -> SubmissionError:
         self._drop()
         place = f" ({where})" if where else ""
-        printed = trace or _printable(self._output.text()[-_OUTPUT_SHOWN:]).strip()
-        hint = f"mend {where or self._spec.path} and run the same command again"
+        hint = refusal_hint(message, where or str(self._spec.path), trace or self._output.text(), self._isolation)
         if self._log is not None and self._output.total:
-            hint = f"what it printed is in {self._log}\n{hint}"
+            hint += f"\nwhat it printed is in {self._log}"
         return SubmissionError(
-            f"policy {self._spec.name} cannot be used: {message}{place}",
-            hint=f"{printed}\n{hint}" if printed else hint,
-            path=self._spec.path,
-            where=where,
+            f"policy {self._spec.name} cannot be used: {message}{place}", hint=hint, path=self._spec.path, where=where
         )
 
     def _drop(self) -> None:
         if self._child is not None:
+            self._waited_s += self._child.waited_s
             self._child.kill()
             self._child = None
 
@@ -264,11 +300,5 @@ def _reported_fault(header: dict[str, Any]) -> PolicyFault:
     known = (FaultReason.EXCEPTION, FaultReason.SHAPE, FaultReason.DTYPE)
     reason = header.get("reason")
     where = header.get("where")
-    detail = _printable(header.get("message", "")) + (f" ({_printable(where)})" if where else "")
+    detail = printable(header.get("message", "")) + (f" ({printable(where)})" if where else "")
     return PolicyFault(FaultReason(reason) if reason in known else FaultReason.PROTOCOL, detail)
-
-
-def _printable(said: object) -> str:
-    """What a policy said, fit for a terminal and for a record: no control characters, no lone surrogates, not long."""
-    text = str(said)[:_OUTPUT_SHOWN].encode(errors="backslashreplace").decode()
-    return "".join(c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in text)

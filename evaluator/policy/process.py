@@ -6,10 +6,8 @@ import contextlib
 import fcntl
 import os
 import select
-import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterable
@@ -19,24 +17,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-import evaluator
-from evaluator.policy.guard import Guard, end_family
+from evaluator.policy.enclosure import Enclosure
+from evaluator.policy.guard import Guard, end_family, remove_folder
 from evaluator.policy.output import CappedOutput
+from evaluator.policy.watch import Watch
 from evaluator.policy.wire import WireError, frame_parts, read_frame
 
-__all__ = ["ChildDeath", "ChildNoise", "ChildProcess", "ChildTimeout"]
+__all__ = ["ChildDeath", "ChildGreed", "ChildNoise", "ChildProcess", "ChildTimeout"]
 
 _PIPE_BYTES = 1 << 20
 _REPLY_HEADER = 1 << 20
 _GOODBYE_S = 2.0
 _POLL_S = 0.005
-_SLICE_S = 1.0
-_KEPT_VARIABLES = (
-    "PATH", "HOME", "USER", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "VIRTUAL_ENV", "CONDA_PREFIX", "PYTHONPATH",
-    "LD_LIBRARY_PATH", "CUDA_HOME", "CUDA_VISIBLE_DEVICES", "HIP_VISIBLE_DEVICES", "OMP_NUM_THREADS", "MKL_NUM_THREADS",
-    "SYSTEMROOT",
-)  # fmt: skip
-"""All that a policy inherits: enough to find its libraries and its device, nothing about the run."""
+_SLICE_S = 0.5
+"""How often what the policy uses is looked at while the judge waits."""
 
 
 class ChildTimeout(Exception):
@@ -51,14 +45,24 @@ class ChildNoise(Exception):
     """The process wrote what is no reply."""
 
 
+class ChildGreed(Exception):
+    """The process used more than it may."""
+
+
 class _Budget:
     """Seconds to wait, counted in slices: a judge that was suspended meanwhile (Ctrl-Z) charges one slice at most."""
 
-    def __init__(self, seconds: float) -> None:
-        self._left = seconds
+    def __init__(self, seconds: float, watch: Watch | None = None) -> None:
+        self._seconds = self._left = seconds
+        self._watch = watch
+
+    @property
+    def used_s(self) -> float:
+        """Seconds waited."""
+        return self._seconds - self._left
 
     def wait(self, read: int | None = None, write: int | None = None) -> None:
-        """Return when the end can be read (written), or raise ChildTimeout."""
+        """Return when the end can be read (written), or raise ChildTimeout or ChildGreed."""
         readable, writable = ([] if end is None else [end] for end in (read, write))
         while True:
             start, allowed = time.monotonic(), max(0.0, min(self._left, _SLICE_S))
@@ -66,48 +70,61 @@ class _Budget:
             self._left -= min(time.monotonic() - start, _SLICE_S)
             if ready:
                 return
+            if self._watch is not None and (excess := self._watch.excess()):
+                raise ChildGreed(excess)
             if self._left <= 0:
                 raise ChildTimeout
 
 
 class ChildProcess:
-    """``python -m evaluator.policy.child`` in its own session, with pipes for questions and replies.
+    """A policy's process (``evaluator.policy.walls``) in its own session, asked and answering on its standard streams.
 
     Parameters
     ----------
     output : CappedOutput
         Takes what the process prints.
+    enclosure : Enclosure
+        What it is started with.
+
+    Attributes
+    ----------
+    folder : Path
+        Its temporary folder.
+    waited_s : float
+        Seconds that all questions together took.
     """
 
-    def __init__(self, output: CappedOutput) -> None:
-        self._folder = Path(tempfile.mkdtemp(prefix="rema-policy-"))
+    def __init__(self, output: CappedOutput, enclosure: Enclosure) -> None:
+        self.waited_s = 0.0
+        # Resolved: it is compared with the folders that the policy may reach.
+        self.folder = Path(tempfile.mkdtemp(prefix="rema-policy-")).resolve()
         request_end, self._requests = os.pipe()
         self._replies, reply_end = os.pipe()
         log_end = output.open_pipe()
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "evaluator.policy.child", str(request_end), str(reply_end)],
-                stdin=subprocess.DEVNULL,
-                stdout=log_end,
+                enclosure.command(self.folder),
+                stdin=request_end,
+                stdout=reply_end,
                 stderr=log_end,
-                pass_fds=(request_end, reply_end),
-                env=_environment(self._folder),
-                cwd=self._folder,
+                env=enclosure.environment(self.folder),
+                cwd=self.folder,
                 start_new_session=True,
             )
             try:
-                self._guard = Guard(self._process.pid, self._folder)
+                self._guard = Guard(self._process.pid, self.folder)
             except BaseException:
-                end_family(self._process, self._folder)
+                end_family(self._process, self.folder)
                 raise
         except BaseException:
             os.close(self._requests)
             os.close(self._replies)
-            shutil.rmtree(self._folder, ignore_errors=True)
+            remove_folder(self.folder)
             raise
         finally:
             for end in (request_end, reply_end, log_end):
                 os.close(end)
+        self._watch = Watch(self._process.pid, self.folder, enclosure.limits)
         os.set_blocking(self._requests, False)
         os.set_blocking(self._replies, False)
         if hasattr(fcntl, "F_SETPIPE_SZ"):
@@ -132,8 +149,12 @@ class ChildProcess:
             When the process ended.
         ChildNoise
             When it replied with something else than a frame with at most ``reply_bytes`` of arrays.
+        ChildGreed
+            When it used more memory or disk than it may.
         """
-        budget = _Budget(seconds)
+        if excess := self._watch.excess_of_disk():
+            raise ChildGreed(excess)
+        budget = _Budget(seconds, self._watch)
         try:
             for part in parts:
                 self._write(memoryview(part), budget)
@@ -142,6 +163,8 @@ class ChildProcess:
             raise ChildDeath(self._obituary()) from error
         except WireError as error:
             raise ChildNoise(f"the reply cannot be read: {error}") from error
+        finally:
+            self.waited_s += budget.used_s
 
     def _write(self, view: memoryview, budget: _Budget) -> None:
         while view:
@@ -187,26 +210,8 @@ class ChildProcess:
 
     def kill(self) -> None:
         """End the process, its group and its descendants at once."""
-        end_family(self._process, self._folder)
+        end_family(self._process, self.folder)
         self._guard.dismiss()
         for end in (self._requests, self._replies):
             with contextlib.suppress(OSError):
                 os.close(end)
-
-
-def _environment(folder: Path) -> dict[str, str]:
-    """A small environment: the same for every run, with the folder of this package importable."""
-    kept = {name: os.environ[name] for name in _KEPT_VARIABLES if name in os.environ}
-    root = str(Path(evaluator.__file__).resolve().parent.parent)
-    inherited = [entry for entry in kept.pop("PYTHONPATH", "").split(os.pathsep) if entry]
-    # A wheel's folder is on the path of the child anyway; naming it would put it before the standard library.
-    own = [] if Path(root).name in ("site-packages", "dist-packages") else [root]
-    paths = [os.path.abspath(entry) for entry in (*own, *inherited)]
-    return {
-        **kept,
-        **({"PYTHONPATH": os.pathsep.join(paths)} if paths else {}),
-        "PYTHONHASHSEED": "0",  # the order of sets must not differ between two runs
-        "PYTHONDONTWRITEBYTECODE": "1",
-        "PYTHONUNBUFFERED": "1",
-        "TMPDIR": str(folder),
-    }

@@ -1,4 +1,4 @@
-"""Policies as a submitter would write them, from one line of code."""
+"""Policies as a submitter would write them, from one line of code, and hostile ones."""
 
 from __future__ import annotations
 
@@ -11,6 +11,18 @@ import pytest
 from evaluator.policy import PolicySpec, resolve
 
 WritePolicy = Callable[..., PolicySpec]
+
+REPLIES = """
+import fcntl
+def replies():
+    for fd in range(3, 64):
+        try:
+            if fcntl.fcntl(fd, fcntl.F_GETFL) & os.O_ACCMODE == os.O_WRONLY:
+                return fd
+        except OSError:
+            pass
+"""
+"""Code that finds the pipe on which the policy's process answers."""
 
 
 @pytest.fixture

@@ -14,8 +14,11 @@ import pytest
 
 import evaluator.policy.process
 from evaluator.policy import PolicyHost
+from evaluator.policy.enclosure import Enclosure
+from evaluator.policy.guard import remove_folder
 from evaluator.policy.output import CappedOutput
 from evaluator.policy.process import ChildProcess
+from evaluator.policy.wire import frame_parts
 from tests.evaluator.policy.batches import make_batch
 from tests.evaluator.policy.conftest import WritePolicy
 
@@ -52,7 +55,7 @@ def wait_until(seconds: float, condition: object) -> bool:
 def test_a_family_that_strayed_ends_with_the_policy(write_policy: WritePolicy) -> None:
     mark = f"60{os.getpid()}"
     spec = write_policy(FAMILY, top=f"MARK = {mark!r}")
-    with PolicyHost(spec, None) as host:
+    with PolicyHost(spec, None, walls=False) as host:
         host.act(make_batch(1))
         assert wait_until(5, lambda: len(sleepers(mark)) == 3)
     assert wait_until(2, lambda: not sleepers(mark))
@@ -68,7 +71,7 @@ def test_killed_judge_leaves_neither_processes_nor_folders(
     code = (
         "from evaluator.policy import PolicyHost, resolve\n"
         "from tests.evaluator.policy.batches import make_batch\n"
-        f"PolicyHost(resolve({str(spec.path)!r}), None).__enter__().act(make_batch(1))"
+        f"PolicyHost(resolve({str(spec.path)!r}), None, walls=False).__enter__().act(make_batch(1))"
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
     with subprocess.Popen([sys.executable, "-c", code], env=environment) as judge:
@@ -94,6 +97,22 @@ def test_no_guard_and_no_folder_stays(write_policy: WritePolicy) -> None:
     assert own[0].parent == Path(tempfile.gettempdir())
 
 
+def test_a_folder_nested_without_end_is_removed(tmp_path: Path) -> None:
+    folder = tmp_path / "deep"
+    folder.mkdir()
+    here = os.getcwd()
+    os.chdir(folder)
+    try:
+        for _ in range(1500):  # deeper than a path may be long
+            os.mkdir("deeper")
+            os.chdir("deeper")
+        os.chmod(".", 0)
+    finally:
+        os.chdir(here)
+    remove_folder(folder)
+    assert not folder.exists()
+
+
 def test_a_suspended_judge_charges_no_timeout(write_policy: WritePolicy, monkeypatch: pytest.MonkeyPatch) -> None:
     clock, leap = time.monotonic, [0.0]
 
@@ -102,12 +121,13 @@ def test_a_suspended_judge_charges_no_timeout(write_policy: WritePolicy, monkeyp
         return clock() + leap[0]
 
     output = CappedOutput(None, 1000, 1000)
-    child = ChildProcess(output)
-    order = {"op": "load", "path": str(write_policy("return good").path), "class_name": "Policy"}
-    from evaluator.policy.wire import frame_parts
-
+    spec = write_policy("return good")
+    enclosure = Enclosure(spec.path)
+    child = ChildProcess(output, enclosure)
+    order = {"op": "load", "path": str(spec.path), "class_name": "Policy"}
     monkeypatch.setattr(evaluator.policy.process.time, "monotonic", leaping)
     try:
+        child.ask(frame_parts(enclosure.orders(child.folder), {}), 50.0, 0)
         header, _ = child.ask(frame_parts({**order, "checkpoint": None, "device": "cpu"}, {}), 50.0, 0)
         assert header["ok"] is True
     finally:

@@ -16,7 +16,7 @@ from evaluator.policy import PolicyFault, PolicyHost, PolicyLimits, resolve
 from rema_data.errors import InputError, MissingFileError, SubmissionError
 
 from .batches import make_batch
-from .conftest import WritePolicy
+from .conftest import REPLIES, WritePolicy
 from .test_host_answers import LIMITS, reasons
 
 IMPATIENT = PolicyLimits(start_s=30, batch_s=0.5)
@@ -86,7 +86,7 @@ def test_one_raising_observation_is_charged_alone(write_policy: WritePolicy) -> 
 def test_a_policy_that_always_raises_is_not_retried_for_ever(write_policy: WritePolicy, tmp_path: Path) -> None:
     calls = tmp_path / "calls"
     spec = write_policy(f"open({str(calls)!r}, 'a').write('x')\nraise KeyError('always')")
-    with PolicyHost(spec, None, "cpu", LIMITS) as host:
+    with PolicyHost(spec, None, "cpu", LIMITS, walls=False) as host:
         for _ in range(6):
             assert reasons(host.act(make_batch(4))) == ["exception"] * 4
     assert len(calls.read_text()) == 6 + 3 * 4
@@ -124,7 +124,7 @@ def test_a_policy_that_always_dies_is_bounded(write_policy: WritePolicy) -> None
 def test_a_policy_that_cannot_be_started_again(write_policy: WritePolicy, tmp_path: Path) -> None:
     flag = str(tmp_path / "flag")
     spec = write_policy("os._exit(1)", init=f"assert not os.path.exists({flag!r})\nopen({flag!r}, 'w')")
-    with PolicyHost(spec, None, "cpu", LIMITS) as host:
+    with PolicyHost(spec, None, "cpu", LIMITS, walls=False) as host:
         assert reasons(host.act(make_batch(2))) == ["restart"] * 2
 
 
@@ -134,10 +134,13 @@ def test_a_process_that_it_started_does_not_outlive_it(write_policy: WritePolicy
         "time.sleep(60)",
         init=f"import subprocess as s; open({str(pid_file)!r}, 'a').write(str(s.Popen(['sleep', '300']).pid) + ' ')",
     )
-    with PolicyHost(spec, None, "cpu", IMPATIENT) as host:
+    with PolicyHost(spec, None, "cpu", IMPATIENT, walls=False) as host:
         host.act(make_batch(1))
+    deadline = time.monotonic() + 20
     for pid in pid_file.read_text().split():
-        assert not psutil.pid_exists(int(pid)) or psutil.Process(int(pid)).status() == psutil.STATUS_ZOMBIE
+        while psutil.pid_exists(int(pid)) and psutil.Process(int(pid)).status() != psutil.STATUS_ZOMBIE:
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
 
 
 def test_it_dies_with_the_judge(write_policy: WritePolicy, tmp_path: Path) -> None:
@@ -145,7 +148,7 @@ def test_it_dies_with_the_judge(write_policy: WritePolicy, tmp_path: Path) -> No
     spec = write_policy("time.sleep(60)", init=f"open({str(pid_file)!r}, 'w').write(str(os.getpid()))")
     code = (
         "from evaluator.policy import PolicyHost, resolve\nimport time\n"
-        f"with PolicyHost(resolve({str(spec.path)!r}), None): time.sleep(60)"
+        f"with PolicyHost(resolve({str(spec.path)!r}), None, walls=False): time.sleep(60)"
     )
     judge = subprocess.Popen([sys.executable, "-c", code])
     deadline = time.monotonic() + 20
@@ -186,19 +189,23 @@ def test_prints_without_end_from_a_thread_while_it_answers(write_policy: WritePo
 
 @pytest.mark.parametrize("noise", ["b'hello judge' * 9", "bytes(4)", "b'\\x00\\x00\\x00\\x02{}'", "b'\\xff' * 70000"])
 def test_writing_to_the_pipe_of_the_replies(write_policy: WritePolicy, noise: str) -> None:
-    spec = write_policy(f"if n > 1: os.write(int(sys.argv[2]), {noise})\nreturn good")
+    spec = write_policy(f"if n > 1: os.write(replies(), {noise})\nreturn good", top=REPLIES)
     with PolicyHost(spec, None, "cpu", LIMITS) as host:
         assert reasons(host.act(make_batch(2))) == ["ok", "ok"]
+        assert host.restarts == 1
 
 
 def test_a_forged_extra_reply_is_not_taken_for_the_next_answer(write_policy: WritePolicy) -> None:
     spec = write_policy(
         """
         from evaluator.policy.wire import frame_parts
-        for part in frame_parts({"op": "acted", "number": 1, "ok": True}, {"answer": (good, 1)}) if n > 1 else ():
-            os.write(int(sys.argv[2]), part)
+        frame = inspect.currentframe().f_back.f_locals["header"]  # the number of the question
+        reply = {"op": "acted", "number": frame["number"], "ok": True}
+        for part in frame_parts(reply, {"answer": (good, 1)}) if n > 1 else ():
+            os.write(replies(), part)
         return good * 0 if n > 1 else good
-        """
+        """,
+        top=f"import inspect\n{REPLIES}",
     )
     with PolicyHost(spec, None, "cpu", LIMITS) as host:
         host.act(make_batch(2))

@@ -1,0 +1,127 @@
+"""The level that is recorded: never above what was found, whatever was asked for."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from evaluator.policy import PolicyHost, resolve
+from evaluator.policy.isolation import KERNEL_WALLS, NAMESPACES, isolation_of
+from evaluator.policy.sandbox import check_sandbox, wrapped
+from rema_data.errors import InputError
+from tests.evaluator.policy.batches import make_batch
+from tests.evaluator.policy.conftest import WritePolicy
+from tests.evaluator.policy.test_host_answers import LIMITS, reasons
+
+FOREIGN = {kind: f"{kind}:[1]" for kind in NAMESPACES}
+BWRAP = (
+    "bwrap --unshare-all --die-with-parent --ro-bind / / --tmpfs {manifests} --bind {tmp} {tmp} --proc /proc --dev /dev"
+)
+
+
+@given(
+    up=st.sets(st.sampled_from(KERNEL_WALLS)),
+    foreign=st.sets(st.sampled_from(NAMESPACES)),
+    sandbox=st.sampled_from([None, "bwrap"]),
+)
+def test_the_level_is_the_lowest_that_all_its_walls_reach(up: set[str], foreign: set[str], sandbox: str | None) -> None:
+    walls = [[name, name in up, "so it is"] for name in KERNEL_WALLS]
+    namespaces = {
+        kind: FOREIGN[kind] if kind in foreign else os.readlink(f"/proc/self/ns/{kind}") for kind in NAMESPACES
+    }
+    found = isolation_of({"walls": walls, "namespaces": namespaces}, sandbox)
+    if up != set(KERNEL_WALLS):
+        assert found.level == "L1"
+    else:
+        assert found.level == ("L3" if sandbox and foreign == set(NAMESPACES) else "L2")
+    told = json.loads(json.dumps(found.to_dict()))
+    assert set(told["up"]) == {"process", *up} | ({"namespaces"} if "namespaces" in told["up"] else set())
+    assert set(told["up"]).isdisjoint(told["down"]) and all(told["down"].values())
+    assert found.level in str(found)
+
+
+@pytest.mark.parametrize(
+    ("library", "down", "word"),
+    [
+        ("landlockpy", {"files", "inspection"}, "landlockpy is not installed"),
+        ("pyseccomp", {"network", "processes"}, "pyseccomp is not installed"),
+    ],
+)
+def test_without_a_library_its_walls_are_down_and_the_policy_runs(
+    library: str, down: set[str], word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / f"{library}.py").write_text(f"raise ImportError('absent', name={library!r})")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with PolicyHost(resolve("random"), None, "cpu", LIMITS) as host:
+        told = host.isolation.to_dict()
+        assert told["level"] == "L1"
+        assert down <= set(told["down"])
+        assert all(word in told["down"][wall] for wall in down)
+        assert reasons(host.act(make_batch(2))) == ["ok", "ok"]
+
+
+def test_walls_that_were_not_asked_for(write_policy: WritePolicy) -> None:
+    with pytest.raises(InputError, match="not known before"):
+        _ = PolicyHost(write_policy("return good"), None).isolation
+    with PolicyHost(write_policy("return good"), None, "cpu", LIMITS, walls=False) as host:
+        assert host.isolation.level == "L1"
+        assert set(host.isolation.to_dict()["down"]) == {*KERNEL_WALLS, "namespaces"}
+        assert {"process", "memory", "disk", "descriptors"} == set(host.isolation.to_dict()["up"])
+
+
+def test_a_wrapper_that_wraps_nothing_earns_nothing() -> None:
+    with PolicyHost(resolve("random"), None, "cpu", LIMITS, sandbox="env REMA_WRAPPED=1") as host:
+        told = host.isolation.to_dict()
+        assert told["level"] != "L3"
+        assert "shares with the judge" in told["down"]["namespaces"]
+        assert told["sandbox"] == "env REMA_WRAPPED=1"
+        assert reasons(host.act(make_batch(1))) == ["ok"]
+
+
+def test_a_wrapper_with_namespaces_of_its_own(write_policy: WritePolicy) -> None:
+    if shutil.which("bwrap") is None:
+        pytest.skip("bwrap is not installed")
+    from rema_data.manifests import manifests_dir
+
+    lists = str(manifests_dir() / "scenarios")
+    spec = write_policy(f"good[:, 2] = os.path.exists({lists!r}) + 2 * (os.getpid() > 100)\nreturn good")
+    with PolicyHost(spec, None, "cpu", LIMITS, sandbox=f"{BWRAP} --") as host:
+        assert host.isolation.to_dict()["up"].get("namespaces") == "mnt, net, pid"
+        answers = host.act(make_batch(1))
+        assert all(isinstance(answer, int) and answer % 16 == 0 for answer in answers)
+
+
+def test_a_wrapper_in_which_nothing_runs() -> None:
+    with (
+        pytest.raises(InputError, match="no process of Python came up in --sandbox") as caught,
+        PolicyHost(resolve("random"), None, "cpu", LIMITS, sandbox="ls /no-such-folder --"),
+    ):
+        pass
+    assert "no-such-folder" in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("", "names no command"),
+        ("bwrap 'x", "is no command"),
+        ("env {secrets}", r"unknown place \{secrets\}"),
+        ("no-such-wrapper --", "no program 'no-such-wrapper'"),
+    ],
+)
+def test_wrappers_that_cannot_be_used(command: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        PolicyHost(resolve("random"), None, sandbox=command)
+
+
+def test_places_are_filled_in() -> None:
+    words = check_sandbox("env A={tmp} '{policy}/a b' --")
+    places = {"tmp": Path("/t"), "policy": Path("/p")}
+    assert wrapped(words, places, ["python"]) == ["env", "A=/t", "/p/a b", "--", "python"]
+    assert check_sandbox(None) == []
