@@ -16,12 +16,20 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from evaluator.engines.base import InfraError
-from evaluator.records import Ledger
+from evaluator.records import Records
 from evaluator.scenarios import ScenarioList, reference_pinch, reference_tools, scenario_id
 from rema_data import grid
 from rema_data.schema import TASKS, Failure, ObjectSpec, Scenario, StepOutcome
 
-__all__ = ["Verdict", "episodes_table", "timings_table", "to_parquet", "verdict"]
+__all__ = [
+    "Verdict",
+    "episodes_schema",
+    "episodes_table",
+    "scenario_columns",
+    "timings_table",
+    "to_parquet",
+    "verdict",
+]
 
 _STEP_FIELDS: tuple[tuple[str, pa.DataType], ...] = (
     ("action", pa.uint16()),
@@ -61,10 +69,10 @@ class Verdict:
     infra_error: str | None = None
 
 
-def verdict(index: int, steps: Sequence[int], ledger: Ledger) -> Verdict:
+def verdict(index: int, steps: Sequence[int], records: Records) -> Verdict:
     """Verdict on the episode of scenario ``index``, whose policy acts in ``steps``."""
     for step in steps:
-        result = ledger.result(index, step)
+        result = records.result(index, step)
         if result is None:
             return Verdict(None)
         if isinstance(result, InfraError):
@@ -74,7 +82,8 @@ def verdict(index: int, steps: Sequence[int], ledger: Ledger) -> Verdict:
     return Verdict(True)
 
 
-def _schema(task: str) -> pa.Schema:
+def episodes_schema(task: str) -> pa.Schema:
+    """Columns of ``episodes.parquet`` and their types."""
     text, real = pa.string(), pa.float64()
     fields = [("scenario", text), ("index", pa.int32()), ("task", text), ("split", text)]
     fields += [
@@ -90,6 +99,12 @@ def _schema(task: str) -> pa.Schema:
     return pa.schema(fields)
 
 
+def scenario_columns(task: str) -> tuple[str, ...]:
+    """Columns that follow from the scenario alone: those before the first step's."""
+    names = episodes_schema(task).names
+    return tuple(names[: names.index(f"step0_{_STEP_FIELDS[0][0]}")])
+
+
 def _step_row(step: int, action: int | None, result: StepOutcome | InfraError | None) -> dict[str, Any]:
     row: dict[str, Any] = {}
     if action is not None:
@@ -103,7 +118,7 @@ def _step_row(step: int, action: int | None, result: StepOutcome | InfraError | 
     return {f"step{step}_{name}": value for name, value in row.items()}
 
 
-def _episode_row(scenario: Scenario, version: str, steps: Sequence[int], ledger: Ledger) -> dict[str, Any]:
+def _episode_row(scenario: Scenario, version: str, steps: Sequence[int], records: Records) -> dict[str, Any]:
     target = scenario.placements[-1]
     row: dict[str, Any] = {
         "scenario": scenario_id(version, scenario),
@@ -121,17 +136,17 @@ def _episode_row(scenario: Scenario, version: str, steps: Sequence[int], ledger:
     row["target_shape"] = target.spec.shape.value
     simulated = 0
     for step in steps:
-        answer, result = ledger.answers.get((scenario.index, step)), ledger.result(scenario.index, step)
+        answer, result = records.answers.get((scenario.index, step)), records.result(scenario.index, step)
         row.update(_step_row(step, None if answer is None else answer.action, result))
         simulated += result.sim_steps if isinstance(result, StepOutcome) else 0
-    end = verdict(scenario.index, steps, ledger)
+    end = verdict(scenario.index, steps, records)
     row["success"], row["failed_step"], row["infra_error"] = end.success, end.failed_step, end.infra_error
     row["failure"] = None if end.failure is None else end.failure.value
     row["sim_steps"] = simulated
     return row
 
 
-def episodes_table(scenarios: ScenarioList, episodes: int, steps: Sequence[int], ledger: Ledger) -> pa.Table:
+def episodes_table(scenarios: ScenarioList, episodes: int, steps: Sequence[int], records: Records) -> pa.Table:
     """One row for each of the first ``episodes`` scenarios, in their order.
 
     Parameters
@@ -140,7 +155,7 @@ def episodes_table(scenarios: ScenarioList, episodes: int, steps: Sequence[int],
     episodes : int
     steps : sequence of int
         Steps in which the policy acts: the last one (conditional) or all (end-to-end).
-    ledger : Ledger
+    records : Records
 
     Returns
     -------
@@ -149,15 +164,15 @@ def episodes_table(scenarios: ScenarioList, episodes: int, steps: Sequence[int],
         (metres and radians in the world frame), outcome and evidence; ``success`` (null where not measured),
         ``failure``, ``failed_step``, ``sim_steps`` (sum over steps) and ``infra_error``.
     """
-    schema = _schema(scenarios.task)
+    schema = episodes_schema(scenarios.task)
     chosen = scenarios.scenarios[:episodes]
-    rows = [_episode_row(scenario, scenarios.version, steps, ledger) for scenario in chosen]
+    rows = [_episode_row(scenario, scenarios.version, steps, records) for scenario in chosen]
     return pa.Table.from_pydict({name: [row.get(name) for row in rows] for name in schema.names}, schema=schema)
 
 
-def timings_table(ledger: Ledger, episodes: int) -> pa.Table:
+def timings_table(records: Records, episodes: int) -> pa.Table:
     """One row for each simulated step of the first ``episodes`` scenarios: seconds, worker, segment and attempt."""
-    records = [ledger.outcomes[key] for key in sorted(ledger.outcomes) if key[0] < episodes]
+    simulated = [records.outcomes[key] for key in sorted(records.outcomes) if key[0] < episodes]
     columns = {
         "index": pa.int32(),
         "step": pa.int8(),
@@ -166,7 +181,7 @@ def timings_table(ledger: Ledger, episodes: int) -> pa.Table:
         "segment": pa.int32(),
         "attempt": pa.int8(),
     }
-    content = {name: [getattr(record, name) for record in records] for name in columns}
+    content = {name: [getattr(record, name) for record in simulated] for name in columns}
     return pa.Table.from_pydict(content, schema=pa.schema(columns))
 
 

@@ -115,7 +115,11 @@ def picked_list(
     engine = make_engine("process", workers, world.simulator)
     spawn = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, mp_context=spawn, initializer=die_with, initargs=(os.getpid(),))
-    with pool, closing(engine), world.open_policy(picker.spec, picker.checkpoint, picker.device, picker.log) as policy:
+    with (
+        pool,
+        closing(engine),
+        world.open_policy(picker.spec, picker.checkpoint, picker.device, picker.log, None) as policy,
+    ):
         for start in range(0, count, _PICKED_CHUNK):
             indices = range(start, min(start + _PICKED_CHUNK, count))
             generators = {index: episode_generator(ROOT_SEED, split, task, index) for index in indices}

@@ -21,7 +21,7 @@ from rema_data.errors import IntegrityError
 from rema_data.schema import Failure, StepOutcome, outcome_from_dict
 from rema_data.storage import storage_errors, sync_folder
 
-__all__ = ["Answered", "Journal", "Ledger", "Simulated", "read_journal"]
+__all__ = ["Answered", "Journal", "Ledger", "Records", "Simulated", "read_journal", "same_outcome"]
 
 ANSWERS = "answers"
 OUTCOMES = "outcomes"
@@ -157,15 +157,8 @@ def read_journal(folder: Path, name: str) -> Iterator[tuple[int, dict[str, Any]]
             yield segment, row
 
 
-class Ledger:
-    """Everything recorded in a run, in memory, with the journals that extend it.
-
-    Parameters
-    ----------
-    folder : Path
-        ``RUN/records``.
-    segment : int
-        Number under which this process writes.
+class Records:
+    """Answers and outcomes of a run, in memory.
 
     Attributes
     ----------
@@ -173,22 +166,15 @@ class Ledger:
     outcomes : dict of (index, step) to Simulated
     contradictions : list of (index, step)
         Steps that were simulated twice with different outcomes: the world was not deterministic.
+    segment : int
+        Number under which this process records.
     """
 
-    def __init__(self, folder: Path, segment: int) -> None:
+    def __init__(self) -> None:
         self.answers: dict[tuple[int, int], Answered] = {}
         self.outcomes: dict[tuple[int, int], Simulated] = {}
         self.contradictions: list[tuple[int, int]] = []
-        self.segment = segment
-        for number, row in read_journal(folder, ANSWERS):
-            self._keep_answer(Answered(**row, segment=number))
-        for number, row in read_journal(folder, OUTCOMES):
-            fields = dict(row)
-            error, outcome = fields.pop("error"), fields.pop("outcome")
-            record = outcome_from_dict(outcome) if error is None else InfraError(**error)
-            self._keep_outcome(Simulated(**fields, outcome=record, segment=number))
-        self._answers = Journal(folder, ANSWERS, segment)
-        self._outcomes = Journal(folder, OUTCOMES, segment)
+        self.segment = 0
 
     def _keep_answer(self, record: Answered) -> bool:
         return self.answers.setdefault((record.index, record.step), record) is record
@@ -199,8 +185,51 @@ class Ledger:
         first = self.outcomes.get(key)
         if first is None or isinstance(first.outcome, InfraError):
             self.outcomes[key] = record
-        elif isinstance(record.outcome, StepOutcome) and _text(record.outcome) != _text(first.outcome):
+        elif isinstance(record.outcome, StepOutcome) and not same_outcome(record.outcome, first.outcome):
             self.contradictions.append(key)
+
+    def add_answers(self, records: Iterable[Answered]) -> None:
+        """Record answers; a step keeps its first one."""
+        for record in records:
+            self._keep_answer(record)
+
+    def add_outcomes(self, records: Iterable[Simulated]) -> None:
+        """Record outcomes."""
+        for record in records:
+            self._keep_outcome(record)
+
+    def result(self, index: int, step: int) -> StepOutcome | InfraError | None:
+        """What came of a step: an outcome (of the simulator, or that of a policy's fault), an error, or nothing yet."""
+        answer = self.answers.get((index, step))
+        if answer is not None and answer.action is None:
+            return POLICY_FAULT
+        record = self.outcomes.get((index, step))
+        return None if record is None else record.outcome
+
+
+class Ledger(Records):
+    """Everything recorded in a run, in memory, with the journals that extend it.
+
+    Parameters
+    ----------
+    folder : Path
+        ``RUN/records``.
+    segment : int
+        Number under which this process writes.
+    """
+
+    def __init__(self, folder: Path, segment: int) -> None:
+        super().__init__()
+        self.segment = segment
+        for number, row in read_journal(folder, ANSWERS):
+            self._keep_answer(Answered(**row, segment=number))
+        for number, row in read_journal(folder, OUTCOMES):
+            fields = dict(row)
+            error, outcome = fields.pop("error"), fields.pop("outcome")
+            record = outcome_from_dict(outcome) if error is None else InfraError(**error)
+            self._keep_outcome(Simulated(**fields, outcome=record, segment=number))
+        self._answers = Journal(folder, ANSWERS, segment)
+        self._outcomes = Journal(folder, OUTCOMES, segment)
 
     def add_answers(self, records: Iterable[Answered]) -> None:
         """Record answers and wait until they are on the disk; a step keeps its first answer."""
@@ -228,14 +257,6 @@ class Ledger:
             )
         self._outcomes.append(rows)
 
-    def result(self, index: int, step: int) -> StepOutcome | InfraError | None:
-        """What came of a step: an outcome (of the simulator, or that of a policy's fault), an error, or nothing yet."""
-        answer = self.answers.get((index, step))
-        if answer is not None and answer.action is None:
-            return POLICY_FAULT
-        record = self.outcomes.get((index, step))
-        return None if record is None else record.outcome
-
     def close(self) -> None:
         """Sync and close the journals."""
         try:
@@ -244,5 +265,10 @@ class Ledger:
             self._outcomes.close()
 
 
-def _text(outcome: StepOutcome) -> str:
+def same_outcome(one: StepOutcome | InfraError, other: StepOutcome | InfraError) -> bool:
+    """Whether two outcomes agree in every field, to the last bit of every number."""
+    return _text(one) == _text(other)
+
+
+def _text(outcome: StepOutcome | InfraError) -> str:
     return json.dumps(asdict(outcome), default=_plain)

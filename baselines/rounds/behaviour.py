@@ -68,7 +68,7 @@ class BehaviourPolicies:
         """
         for use in dict.fromkeys(use for block in blocks for use in self._uses[block]):
             log = self._logs / f"policy-{use.spec.name}-{self.digests[use][:8]}.log"
-            process = self._backend.open_policy(use.spec, use.checkpoint, use.device, log)
+            process = self._backend.open_policy(use.spec, use.checkpoint, use.device, log, None)
             self._running[use] = Behaviour(use.spec.name, self.digests[use], self._stack.enter_context(process))
 
     def of(self, block: BlockKey, step: int) -> Behaviour:

@@ -24,6 +24,14 @@ __all__ = ["evaluate"]
 @click.option("--output", type=click.Path(path_type=Path), help="Run folder.  [default: runs/POLICY-TASK-PROTOCOL]")
 @click.option("--device", default="cpu", show_default=True, help="Handed to the policy, such as cuda:0.")
 @click.option("--batch-size", type=click.IntRange(1, 4096), default=64, show_default=True, help="Observations a call.")
+@click.option(
+    "--quick",
+    "against",
+    metavar="RUN",
+    type=click.Path(path_type=Path),
+    help="Stop as soon as the policy is better or worse than that of RUN; unranked.",
+)
+@click.option("--sandbox", metavar="CMD", help="Wrapper of the policy's process (bwrap, ...): docs/threat_model.md.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary object alone.")
 def evaluate(
     policy: str,
@@ -37,6 +45,8 @@ def evaluate(
     output: Path | None,
     device: str,
     batch_size: int,
+    against: Path | None,
+    sandbox: str | None,
     as_json: bool,
 ) -> None:
     """Score POLICY on frozen scenarios and print its success rate with a 95 % interval.
@@ -67,7 +77,13 @@ def evaluate(
         engine=engine,
         workers=workers,
         batch_size=batch_size,
+        sandbox=sandbox,
     )
     with StderrProgress() as progress:
-        result = run_evaluation(config, progress)
+        if against is None:
+            result = run_evaluation(config, progress)
+        else:
+            from evaluator.runner.quick import quick_evaluation
+
+            result = quick_evaluation(config, against, progress)
     print_result(result.summary, result.folder, as_json)

@@ -13,9 +13,10 @@ from rich.text import Text
 
 from evaluator.statistics import format_rate
 
-__all__ = ["print_result"]
+__all__ = ["audit_text", "print_result"]
 
 _BAR_WIDTH = 30
+_PHASES = ("observe", "infer", "simulate", "audit")
 
 
 def print_result(summary: dict[str, Any], folder: Path, as_json: bool) -> None:
@@ -29,7 +30,7 @@ def print_result(summary: dict[str, Any], folder: Path, as_json: bool) -> None:
     if summary["failures"]:
         console.print(_failures(summary, "#" if console.options.ascii_only else "█"))
     console.print(_seconds(summary))
-    console.print(Text(f"run folder: {folder}"), soft_wrap=True)
+    console.print(Text(f"run folder: {folder} (`rema replay` checks it)"), soft_wrap=True)
 
 
 def _facts(summary: dict[str, Any]) -> Table:
@@ -41,7 +42,7 @@ def _facts(summary: dict[str, Any]) -> Table:
     table.add_row("task", Text(f"{summary['task']}, {summary['protocol']}"))
     successes, eligible = summary["successes"], summary["eligible"]
     rate = Text(format_rate(successes, eligible), style="bold")
-    table.add_row("success rate", rate.append(" (Wilson 95 %)" if eligible else " (no eligible episode)", style="dim"))
+    table.add_row("success rate", rate.append(" (95 %)" if eligible else " (no eligible episode)", style="dim"))
     table.add_row("successes", Text(f"{successes:,} of {eligible:,} eligible episodes"))
     if summary["policy_errors"]:
         table.add_row("policy errors", Text(f"{summary['policy_errors']:,} (counted as failures)", style="yellow"))
@@ -51,6 +52,12 @@ def _facts(summary: dict[str, Any]) -> Table:
             low, high = (100 * bound for bound in summary["success_rate_bounds"])
             bounds = f"; the rate is in {low:.1f} .. {high:.1f} % whatever they were"
         table.add_row("infra errors", Text(f"{summary['infra_errors']:,} (not counted){bounds}", style="red"))
+    if summary.get("unfinished"):
+        table.add_row("not finished", Text(f"{summary['unfinished']:,} episodes: this run is partial", style="red"))
+    if summary.get("stopped_early"):
+        table.add_row("quick look", Text(_look(summary["stopped_early"])))
+    if summary.get("audit"):
+        table.add_row("repeated", audit_text(summary["audit"]))
     if summary["protocol"] == "end-to-end":
         for step in summary.get("funnel", ()):
             passed = format_rate(step["succeeded"], step["attempted"])
@@ -59,6 +66,30 @@ def _facts(summary: dict[str, Any]) -> Table:
                 Text(f"{step['succeeded']:,} of {step['attempted']:,} that reached it, {passed}"),
             )
     return table
+
+
+def _look(look: dict[str, Any]) -> str:
+    """What a look at a run that has not ended says."""
+    low, high = (100 * end for end in look["difference_interval"])
+    what = look["verdict"] if look["verdict"] == "undecided" else f"{look['verdict']} than"
+    against = f" against {look['against']}" if look["verdict"] == "undecided" else f" {look['against']}"
+    return (
+        f"{what}{against} on {look['pairs']:,} scenarios: the difference is in {low:+.1f} .. {high:+.1f} points "
+        "however often one looks; no rank"
+    )
+
+
+def audit_text(audit: dict[str, Any]) -> Text:
+    """What came of the repeated share of a run, with the upper ends of the 95 % intervals."""
+    parts = []
+    for what in ("action", "outcome"):
+        count, flips = audit[f"{what}s"], audit[f"{what}_flips"]
+        bound = 100 * audit[f"{what}_flips_ci95"][1]
+        parts.append(f"{flips:,} of {count:,} {what}s came out otherwise (at most {bound:.1f} %)")
+    if audit["lost"]:
+        parts.append(f"{audit['lost']:,} could not be repeated")
+    flipped = audit["action_flips"] or audit["outcome_flips"]
+    return Text("; ".join(parts), style="red" if flipped else "")
 
 
 def _failures(summary: dict[str, Any], block: str) -> Table:
@@ -79,7 +110,7 @@ def _failures(summary: dict[str, Any], block: str) -> Table:
 
 def _seconds(summary: dict[str, Any]) -> Text:
     seconds = summary["seconds"]
-    phases = " + ".join(f"{name} {seconds[name]:.1f}" for name in ("observe", "infer", "simulate"))
+    phases = " + ".join(f"{name} {seconds[name]:.1f}" for name in _PHASES if name in seconds)
     speed = summary.get("episodes_per_second")
     rate = "" if speed is None else f", {speed:,.1f} episodes/s"
     return Text(f"{phases} = {seconds['total']:.1f} s{rate}, {summary['workers']} workers")

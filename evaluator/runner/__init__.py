@@ -1,7 +1,8 @@
 """The judge's main loop: ``run_evaluation`` takes a policy through observe, infer and simulate.
 
 Read in this order: ``config`` (what is asked), ``run`` (the loop), ``plan`` (who is alive), ``observe`` and ``bank``,
-``infer``, ``simulate``, ``folder`` (``run.json`` and resuming), ``summary``, ``backend`` (what tests exchange).
+``infer``, ``simulate``, ``audit`` (1 % once more), ``folder`` (``run.json`` and resuming), ``environment``, ``tally``
+and ``summary``, ``backend`` (what tests exchange).
 """
 
 from __future__ import annotations

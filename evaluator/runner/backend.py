@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.engines import SIMULATOR
+from evaluator.engines import FINGERPRINT, SIMULATOR
+from evaluator.runner.environment import source_digest
 from rema_data.schema import Observation, Situation
 
 if TYPE_CHECKING:
     from evaluator.policy import Answer, ObservationBatch, PolicySpec
 
 __all__ = ["Backend", "PolicyProcess", "default_backend"]
-
-FINGERPRINT = "evaluator.sim.fingerprint:fingerprint"
 
 
 class PolicyProcess(Protocol):
@@ -59,7 +56,8 @@ class Backend:
     policy_digest : callable
         (policy, checkpoint) to sha256.
     open_policy : callable
-        (policy, checkpoint, device, log file) to a context manager that yields the policy's process.
+        (policy, checkpoint, device, log file, sandbox command or None) to a context manager that yields the policy's
+        process.
     """
 
     observe: Callable[[Situation], Observation]
@@ -69,7 +67,7 @@ class Backend:
     fingerprint: str
     protocol_hash: Callable[[str, str], str]
     policy_digest: Callable[[PolicySpec, Path | None], str]
-    open_policy: Callable[[PolicySpec, Path | None, str, Path], AbstractContextManager[PolicyProcess]]
+    open_policy: Callable[[PolicySpec, Path | None, str, Path, str | None], AbstractContextManager[PolicyProcess]]
 
 
 def default_backend() -> Backend:
@@ -80,26 +78,18 @@ def default_backend() -> Backend:
     from evaluator.sim.parameters import parameters_hash
     from evaluator.sim.reach import valid_actions
 
-    def open_policy(policy: PolicySpec, checkpoint: Path | None, device: str, log: Path) -> PolicyHost:
-        return PolicyHost(policy, checkpoint, device, log=log)
+    def open_policy(
+        policy: PolicySpec, checkpoint: Path | None, device: str, log: Path, sandbox: str | None
+    ) -> PolicyHost:
+        return PolicyHost(policy, checkpoint, device, log=log, sandbox=sandbox)
 
     return Backend(
         observe=observe,
         valid_actions=valid_actions,
-        observation_hash=f"{parameters_hash()} {_source_hash('evaluator.sim')}",
+        observation_hash=f"{parameters_hash()} {source_digest('evaluator.sim')}",
         simulator=SIMULATOR,
         fingerprint=FINGERPRINT,
         protocol_hash=protocol_hash,
         policy_digest=digest,
         open_policy=open_policy,
     )
-
-
-def _source_hash(package: str) -> str:
-    """Sha256 of every source file of a package: cached observations must not outlive the code that made them."""
-    found = find_spec(package)
-    total = hashlib.sha256()
-    for folder in sorted(found.submodule_search_locations or []) if found else []:
-        for path in sorted(Path(folder).rglob("*.py")):
-            total.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
-    return total.hexdigest()

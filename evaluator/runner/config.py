@@ -19,6 +19,8 @@ PROTOCOLS = ("conditional", "end-to-end")
 MAX_BATCH = 4096
 """Observations in one question: about a gigabyte on either side."""
 ORDERS = ("shuffled", "forward", "reverse")
+AUDIT_SHARE = 0.01
+"""Share of every run that is repeated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +47,11 @@ class EvaluationConfig:
         Observations in one question to the policy. Batches are fixed by scenario order, also after a resume.
     order : {"shuffled", "forward", "reverse"}
         In which order scenarios are simulated. No result depends on it; an interrupted shuffled run is unbiased.
+    audit_share : float
+        Share of the episodes that are repeated at the end to see whether they come out the same (some tens at least);
+        0 repeats none, and the summary's ``audit`` is then null.
+    sandbox : str or None
+        Wrapper of the policy's process, such as bwrap: see ``evaluator.policy.sandbox``.
 
     Raises
     ------
@@ -64,6 +71,8 @@ class EvaluationConfig:
     workers: int | None = None
     batch_size: int = 64
     order: str = "shuffled"
+    audit_share: float = AUDIT_SHARE
+    sandbox: str | None = None
 
     def __post_init__(self) -> None:
         check_task(self.task)
@@ -77,6 +86,8 @@ class EvaluationConfig:
             if value is not None and value < 1:
                 flag = name.replace("_", "-")
                 raise InputError(f"--{flag} {value} is not a positive number", hint="give 1 or more", field=name)
+        if not 0 <= self.audit_share <= 1:
+            raise InputError(f"audit_share {self.audit_share} is no share", hint="give 0 to 1", field="audit_share")
         if self.batch_size > MAX_BATCH:
             raise InputError(f"--batch-size {self.batch_size} is too large", hint=f"give {MAX_BATCH} or less")
 
@@ -88,7 +99,8 @@ class EvaluationResult:
     Attributes
     ----------
     folder : Path
-        With ``run.json``, ``episodes.parquet``, ``timings.parquet``, ``summary.json`` and ``records/``.
+        With ``run.json``, ``episodes.parquet``, ``actions.bin``, ``leaves.bin``, ``timings.parquet``, ``summary.json``
+        and ``records/``.
     summary : dict
         Content of ``summary.json``.
     """
@@ -101,7 +113,7 @@ class ProgressSink(Protocol):
     """Where a run says how far it is."""
 
     def phase(self, name: str, total: int) -> None:
-        """A phase begins (``observe``, ``infer``, ``simulate``) that has ``total`` items."""
+        """A phase begins (``observe``, ``infer``, ``simulate``, ``audit``, ``replay``) that has ``total`` items."""
         ...
 
     def advance(self, n: int) -> None:

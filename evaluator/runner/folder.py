@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-import os
-import platform
-import subprocess
-import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
-from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from filelock import FileLock, Timeout
 
-from rema_data.errors import InputError, IntegrityError, RunMismatchError
+from evaluator.evidence.header import RUN_FILE, RUN_FORMAT, encode_header, read_header
+from evaluator.evidence.seal import ACTIONS_FILE, EPISODES_FILE, LEAVES_FILE, SUMMARY_FILE, changed_parts, make_seal
+from evaluator.evidence.signature import SIGNATURE_FILE
+from evaluator.runner.environment import environment
+from rema_data.errors import InputError, RunMismatchError
 from rema_data.storage import storage_errors, write_atomic
 
 __all__ = ["RunFolder"]
 
-RUN_FORMAT = 1
-_FILES = ("run.json", "episodes.parquet", "timings.parquet", "summary.json", "policy.log")
-_HEADER = {"identity": dict, "policy": dict, "episodes": int, "segments": list}
-_PACKAGES = ("rema", "numpy", "pybullet", "torch", "pyarrow", "scipy")
+TIMINGS_FILE = "timings.parquet"
+_LOG_FILE = "policy.log"
+_FILES = (RUN_FILE, EPISODES_FILE, ACTIONS_FILE, LEAVES_FILE, TIMINGS_FILE, SUMMARY_FILE, _LOG_FILE, SIGNATURE_FILE)
 
 
 class RunFolder:
@@ -47,6 +43,11 @@ class RunFolder:
     def records(self) -> Path:
         """Folder of the journals."""
         return self.path / "records"
+
+    @property
+    def repeats(self) -> Path:
+        """Folder of the journals of the audit."""
+        return self.records / "audit"
 
     @property
     def segment(self) -> int:
@@ -89,7 +90,7 @@ class RunFolder:
                 ) from error
         try:
             _sweep(path)
-            folder = RunFolder(path, _read_header(path, identity))
+            folder = RunFolder(path, _header(path, identity))
             folder._check(identity, episodes)
             folder.save()
             yield folder
@@ -144,13 +145,24 @@ class RunFolder:
         self.save()
 
     def save(self) -> None:
-        """Write ``run.json`` atomically."""
-        self.write("run.json", json.dumps(self.header, indent=2) + "\n")
+        """Write ``run.json`` atomically, without its seal where that is of another content."""
+        if changed_parts(self.header):
+            del self.header["seal"]
+        payload = encode_header(self.header)
+        signature = self.path / SIGNATURE_FILE
+        if signature.exists() and payload.encode() != (self.path / RUN_FILE).read_bytes():
+            signature.unlink()  # it was made over what is replaced now
+        self.write(RUN_FILE, payload)
+
+    def seal(self, files: Mapping[str, bytes], *, root: bytes, steps: Sequence[int], unfinished: int) -> None:
+        """Put a seal over ``run.json`` and ``files``, which are written already; see ``make_seal``."""
+        self.header["seal"] = make_seal(self.header, files, root=root, steps=steps, unfinished=unfinished)
+        self.save()
 
     @property
     def policy_log(self) -> Path:
         """Where the policy's prints are kept; missing if there were none."""
-        return self.path / "policy.log"
+        return self.path / _LOG_FILE
 
     def write(self, name: str, data: bytes | str) -> None:
         """Write a file of the folder atomically."""
@@ -164,85 +176,17 @@ def _sweep(path: Path) -> None:
             left.unlink(missing_ok=True)
 
 
-def _read_header(path: Path, identity: Mapping[str, Any]) -> dict[str, Any]:
-    file = path / "run.json"
-    if not file.exists():
-        if any((path / "records").glob("*.jsonl")):
-            raise InputError(
-                f"{path} has records but no run.json", hint="choose another folder with --output", path=str(path)
-            )
-        return {
-            "format": RUN_FORMAT,
-            "identity": json.loads(json.dumps(dict(identity))),
-            "policy": {},
-            "episodes": 0,
-            "segments": [],
-        }
-    try:
-        with storage_errors(file):
-            header: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        known = header["format"] == RUN_FORMAT and all(isinstance(header[name], kind) for name, kind in _HEADER.items())
-    except (ValueError, KeyError, TypeError):
-        known = False
-    if not known:
-        raise IntegrityError(
-            f"{file} is not a run header of this version",
-            hint="choose another folder with --output",
-            path=str(file),
+def _header(path: Path, identity: Mapping[str, Any]) -> dict[str, Any]:
+    if (path / RUN_FILE).exists():
+        return read_header(path)[0]
+    if any((path / "records").glob("*.jsonl")):
+        raise InputError(
+            f"{path} has records but no {RUN_FILE}", hint="choose another folder with --output", path=str(path)
         )
-    return header
-
-
-def environment() -> dict[str, Any]:
-    """Where and with what this process runs: for people, and to see mixed hardware; no part of a run's identity."""
     return {
-        "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        "machine": {
-            "host": hashlib.sha256(platform.node().encode()).hexdigest()[:8],
-            "system": platform.system(),
-            "architecture": platform.machine(),
-            "processor": _processor(),
-            "cores": os.cpu_count(),
-        },
-        "versions": {"python": platform.python_version(), **_versions()},
-        **_commit(),
+        "format": RUN_FORMAT,
+        "identity": json.loads(json.dumps(dict(identity))),
+        "policy": {},
+        "episodes": 0,
+        "segments": [],
     }
-
-
-def _versions() -> dict[str, str]:
-    found = {}
-    for name in _PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found
-
-
-def _processor() -> str:
-    if sys.platform == "linux":
-        with suppress(OSError), open("/proc/cpuinfo", encoding="utf-8") as file:
-            for line in file:
-                if line.startswith("model name"):
-                    return line.partition(":")[2].strip()
-    return platform.processor()
-
-
-def _commit() -> dict[str, Any]:
-    """Commit of the checkout that this code runs from, and whether it was changed; null for an installed wheel."""
-    root = Path(__file__).resolve().parents[2]
-    if (root / ".git").exists():
-        try:
-            head = _git(root, "rev-parse", "HEAD")
-            return {"commit": head, "dirty": bool(_git(root, "status", "--porcelain", "--untracked-files=no"))}
-        except (OSError, subprocess.SubprocessError):
-            pass
-    return {"commit": None, "dirty": None}
-
-
-def _git(root: Path, *arguments: str) -> str:
-    # Without optional locks: looking must not write into the checkout.
-    done = subprocess.run(
-        ["git", "--no-optional-locks", *arguments], cwd=root, capture_output=True, text=True, timeout=10, check=True
-    )
-    return done.stdout.strip()

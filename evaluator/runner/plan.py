@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from typing import TypeVar
 
 from evaluator.engines import Job, Shard
-from evaluator.records import Ledger
+from evaluator.records import Records
 from evaluator.scenarios import reference_pinch, reference_tools
 from rema_data.schema import TASKS, Scenario, Situation, StepOutcome
 
@@ -47,7 +47,7 @@ class Plan:
         has_pinch = scenario.pinch is not None
         return len(scenario.grips) == reference_tools(self.task) and has_pinch == reference_pinch(self.task)
 
-    def alive(self, step: int, ledger: Ledger) -> dict[int, Situation]:
+    def alive(self, step: int, records: Records) -> dict[int, Situation]:
         """Situation of every episode that reaches ``step``, by scenario index, in ascending order."""
         if not self.end_to_end:
             return {scenario.index: scenario.last_situation() for scenario in self.scenarios if self.eligible(scenario)}
@@ -55,7 +55,7 @@ class Plan:
         for scenario in self.scenarios:
             situation: Situation | None = scenario.first_situation()
             for earlier in range(step):
-                result = ledger.result(scenario.index, earlier)
+                result = records.result(scenario.index, earlier)
                 if situation is None or not isinstance(result, StepOutcome) or not result.success:
                     situation = None
                     break

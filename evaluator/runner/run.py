@@ -1,40 +1,50 @@
-"""One evaluation: observe, infer, simulate for every step of the protocol, then the tables and the summary."""
+"""One evaluation: observe, infer, simulate for every step of the protocol; then tables, audit, summary and seal."""
 
 from __future__ import annotations
 
 import json
 import shutil
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
 from typing import Any
 
-from evaluator.engines import InfraError, default_workers
+import pyarrow as pa
+
+from evaluator.engines import default_workers
 from evaluator.engines.child import call_in_child
 from evaluator.episodes import episodes_table, timings_table, to_parquet, verdict
+from evaluator.evidence.actions import actions_of, encode_actions
+from evaluator.evidence.merkle import merkle_root
+from evaluator.evidence.rows import row_leaves
+from evaluator.evidence.seal import ACTIONS_FILE, EPISODES_FILE, LEAVES_FILE, SUMMARY_FILE
 from evaluator.records import Ledger
-from evaluator.runner.backend import Backend, default_backend
+from evaluator.runner.audit import ask_again, audit_summary, jobs_again, repeats
+from evaluator.runner.backend import Backend, PolicyProcess, default_backend
 from evaluator.runner.bank import ObservationBank
 from evaluator.runner.config import EvaluationConfig, EvaluationResult, ProgressSink, Silent
-from evaluator.runner.folder import RunFolder
+from evaluator.runner.folder import TIMINGS_FILE, RunFolder
 from evaluator.runner.infer import check_faults, infer_batches
 from evaluator.runner.observe import batches, observe_batches
 from evaluator.runner.plan import Plan
-from evaluator.runner.simulate import pending_jobs, simulate_jobs
+from evaluator.runner.simulate import INFRA_LIMIT, check_infrastructure, pending_jobs, simulate_jobs
 from evaluator.runner.summary import PHASES, summarise
 from evaluator.scenarios import ScenarioList, load_list
-from rema_data.errors import InfrastructureError, InputError, PolicyFailureError
+from rema_data.errors import InputError, PolicyFailureError
 from rema_data.schema import Situation
 from rema_data.storage import rema_home
 
-__all__ = ["INFRA_LIMIT", "run_evaluation"]
+__all__ = ["INFRA_LIMIT", "Look", "run_evaluation"]
 
-INFRA_LIMIT = 0.001
-"""Largest share of episodes that may be lost to the infrastructure."""
+Look = Callable[[pa.Table], dict[str, Any]]
 
 
 def run_evaluation(
-    config: EvaluationConfig, progress: ProgressSink | None = None, *, backend: Backend | None = None
+    config: EvaluationConfig,
+    progress: ProgressSink | None = None,
+    *,
+    backend: Backend | None = None,
+    look: Look | None = None,
 ) -> EvaluationResult:
     """Evaluate a policy, or go on with an evaluation that was interrupted.
 
@@ -45,6 +55,8 @@ def run_evaluation(
     progress : ProgressSink, optional
     backend : Backend, optional
         The real world by default.
+    look : callable, optional
+        Makes of the rows what the summary is to say under ``stopped_early``: such a run has no rank.
 
     Returns
     -------
@@ -91,7 +103,7 @@ def run_evaluation(
     }
     with RunFolder.locked(config.output, identity, config.episodes) as folder:
         folder.set_policy(name=config.policy.name, file=config.policy.path.name, class_name=config.policy.class_name)
-        return _Run(config, progress, backend, scenarios, folder, start).go()
+        return _Run(config, progress, backend, scenarios, folder, start, look).go()
 
 
 class _Run:
@@ -105,13 +117,15 @@ class _Run:
         scenarios: ScenarioList,
         folder: RunFolder,
         start: float,
+        look: Look | None,
     ) -> None:
         self.config, self.progress, self.backend = config, progress, backend
-        self.scenarios, self.folder, self.start = scenarios, folder, start
+        self.scenarios, self.folder, self.start, self.look = scenarios, folder, start, look
         self.plan = Plan(scenarios.scenarios[: config.episodes], config.task, config.protocol)
         self.ledger = Ledger(folder.records, folder.segment)
         self.seconds = dict.fromkeys(PHASES, 0.0)
         self.own_bank = folder.path / ".observations"
+        self.sealed: dict[str, bytes] = {}
 
     def go(self) -> EvaluationResult:
         done = self._finished()
@@ -119,6 +133,7 @@ class _Run:
             earlier = len(self.folder.header["segments"])
             self.progress.note(f"resumed at {done:,}/{self.config.episodes:,} after {earlier} segments")
         failed: PolicyFailureError | None = None
+        audit: dict[str, Any] | None = None
         try:
             try:
                 for step in self.plan.steps:
@@ -129,15 +144,18 @@ class _Run:
                 if self.folder.policy_log.exists():
                     failed.hint += f"\nwhat it printed is in {self.folder.policy_log}"
             self._write_tables()
+            if failed is None and self.config.audit_share:
+                with self._timed("audit"):
+                    audit = self._audit()
         finally:
             self.ledger.close()
             self.seconds["total"] = time.perf_counter() - self.start
             rounded = {phase: round(seconds, 3) for phase, seconds in self.seconds.items()}
             self.folder.note_segment(seconds=rounded, finished=self._finished() - done)
-        result = self._write_summary()
+        result = self._finish(audit)
         if failed is not None:
             raise failed
-        self._check_infrastructure(result.summary)
+        check_infrastructure(self.ledger, result.summary, self.folder.path)
         return result
 
     def _finished(self) -> int:
@@ -166,8 +184,18 @@ class _Run:
         jobs = pending_jobs(alive, step, self.ledger)
         if jobs:
             self._begin()
+            self.progress.phase("simulate", len(jobs))
             with self._timed("simulate"):
-                simulate_jobs(jobs, step, self.config, self.backend.simulator, self.ledger, self.progress)
+                simulate_jobs(
+                    jobs,
+                    {job.key: (job.key, step) for job in jobs},
+                    self.ledger,
+                    self.progress,
+                    simulator=self.backend.simulator,
+                    engine=self.config.engine,
+                    workers=self.config.workers,
+                    order=self.config.order,
+                )
 
     def _ask(self, step: int, alive: dict[int, Situation]) -> None:
         config, backend = self.config, self.backend
@@ -186,48 +214,82 @@ class _Run:
         # Started before anything is observed: a policy that cannot be loaded is to be known at once.
         with ExitStack() as stack:
             with self._timed("infer"):
-                policy = stack.enter_context(backend.open_policy(config.policy, config.checkpoint, config.device, log))
+                policy = stack.enter_context(
+                    backend.open_policy(config.policy, config.checkpoint, config.device, log, config.sandbox)
+                )
             with self._timed("observe"):
                 observe_batches(bank, wanted, self.progress)
             with self._timed("infer"):
                 self._begin()
-                self.folder.set_policy(privileged=policy.privileged)
+                self._note_policy(policy)
                 valid = backend.valid_actions(config.task, step)
                 infer_batches(policy, bank, wanted, valid, self.ledger, self.progress)
 
+    def _note_policy(self, policy: PolicyProcess) -> None:
+        self.folder.set_policy(privileged=policy.privileged)
+        isolation = getattr(policy, "isolation", None)
+        if isolation is not None:
+            self.progress.note(f"policy isolation {isolation}")
+        self.folder.note_segment(isolation=None if isolation is None else isolation.to_dict())
+
     def _write_tables(self) -> None:
         table = episodes_table(self.scenarios, self.config.episodes, self.plan.steps, self.ledger)
-        self.folder.write("episodes.parquet", to_parquet(table))
-        self.folder.write("timings.parquet", to_parquet(timings_table(self.ledger, self.config.episodes)))
-
-    def _write_summary(self) -> EvaluationResult:
-        summary = summarise(self.config, self.plan, self.ledger, self.folder.header)
-        self.folder.write("summary.json", json.dumps(summary, indent=2) + "\n")
-        shutil.rmtree(self.own_bank, ignore_errors=True)
-        return EvaluationResult(self.folder.path, summary)
-
-    def _check_infrastructure(self, summary: dict[str, Any]) -> None:
-        lost = {
-            key: record.outcome
-            for key, record in self.ledger.outcomes.items()
-            if isinstance(record.outcome, InfraError)
+        self.table, leaves = table, row_leaves(table)
+        self.root = merkle_root(leaves)
+        self.sealed = {
+            EPISODES_FILE: to_parquet(table),
+            ACTIONS_FILE: encode_actions(actions_of(table, self.plan.steps)),
+            LEAVES_FILE: b"".join(leaves),
         }
-        if self.ledger.contradictions:
-            index, step = self.ledger.contradictions[0]
-            raise InfrastructureError(
-                f"{len(self.ledger.contradictions)} steps had two different outcomes, the first one step {step} of "
-                f"scenario {index}: the simulator is not deterministic here",
-                hint="do not use these numbers; report the run folder",
-                contradictions=self.ledger.contradictions,
-            )
-        if summary["infra_errors"] > INFRA_LIMIT * summary["episodes"]:
-            (index, step), error = next(iter(lost.items()))
-            low, high = summary["success_rate_bounds"]
-            raise InfrastructureError(
-                f"{summary['infra_errors']} of {summary['episodes']} episodes were lost to the infrastructure "
-                f"(limit {INFRA_LIMIT:.1%}), the first one step {step} of scenario {index}: {error.reason}: "
-                f"{error.detail.strip().splitlines()[-1]}; the success rate lies between {low:.1%} and {high:.1%}",
-                hint="run the same command again: it tries them once more",
-                infra_errors=summary["infra_errors"],
-                folder=str(self.folder.path),
-            )
+        for name, content in self.sealed.items():
+            self.folder.write(name, content)
+        self.folder.write(TIMINGS_FILE, to_parquet(timings_table(self.ledger, self.config.episodes)))
+
+    def _audit(self) -> dict[str, Any]:
+        """Repeat what was not repeated yet, and compare."""
+        config, backend = self.config, self.backend
+        wanted = repeats(self.plan, self.ledger, config.audit_share)
+        with closing(Ledger(self.folder.repeats, self.folder.segment)) as again:
+            unasked = sum((repeat.index, repeat.step) not in again.answers for repeat in wanted)
+            jobs = jobs_again(wanted, self.ledger, again)
+            if unasked or jobs:
+                self.progress.phase("audit", unasked + len(jobs))
+                self._begin()
+            if unasked:
+                log = self.folder.policy_log
+                with backend.open_policy(
+                    config.policy, config.checkpoint, config.device, log, config.sandbox
+                ) as policy:
+                    self._note_policy(policy)
+                    asked = ask_again(policy, wanted, config.batch_size, backend.observe, backend.valid_actions, again)
+                    for count in asked:
+                        self.progress.advance(count)
+            if jobs:
+                simulate_jobs(
+                    jobs,
+                    {job.key: (wanted[job.key].index, wanted[job.key].step) for job in jobs},
+                    again,
+                    self.progress,
+                    simulator=backend.simulator,
+                    engine="process",
+                    workers=1,
+                    order="forward",
+                )
+            return audit_summary(wanted, self.ledger, again)
+
+    def _finish(self, audit: dict[str, Any] | None) -> EvaluationResult:
+        """Write the summary and seal the run."""
+        header = self.folder.header
+        summary = summarise(self.config, self.plan, self.ledger, self.table, header, self.root, audit)
+        if self.look is not None:
+            summary["stopped_early"] = self.look(self.table)
+        payload = json.dumps(summary, indent=2) + "\n"
+        self.folder.write(SUMMARY_FILE, payload)
+        shutil.rmtree(self.own_bank, ignore_errors=True)
+        self.folder.seal(
+            {**self.sealed, SUMMARY_FILE: payload.encode()},
+            root=self.root,
+            steps=self.plan.steps,
+            unfinished=summary["unfinished"],
+        )
+        return EvaluationResult(self.folder.path, summary)

@@ -18,6 +18,7 @@ import pytest
 from filelock import FileLock
 
 from evaluator.runner import run_evaluation
+from evaluator.runner.environment import source_digest
 from rema_data.errors import (
     InfrastructureError,
     InputError,
@@ -33,11 +34,14 @@ LONG = "grasp_grasp_push"
 
 
 def table(output: Path) -> bytes:
-    return (output / "episodes.parquet").read_bytes()
+    """Everything that must not depend on how a run went."""
+    return b"".join((output / name).read_bytes() for name in ("episodes.parquet", "actions.bin", "leaves.bin"))
 
 
 def run(output: Path, process: FakePolicyProcess | None = None, **changes: Any) -> dict[str, Any]:
-    return run_evaluation(fake_config(output, **changes), backend=fake_backend(process)).summary
+    """A run without audit, which has tests of its own."""
+    fields = {"audit_share": 0.0, **changes}
+    return run_evaluation(fake_config(output, **fields), backend=fake_backend(process)).summary
 
 
 def running(process: psutil.Process) -> bool:
@@ -122,7 +126,38 @@ def test_conditional_summary(fake_home: Path) -> None:
     assert json.loads((fake_home / "run" / "summary.json").read_text()) == summary
     assert summary["seconds"]["total"] >= summary["seconds"]["simulate"] > 0
     header = json.loads((fake_home / "run" / "run.json").read_text())
-    assert header["segments"][0]["finished"] == 200 and header["policy"]["privileged"] is False
+    segment = header["segments"][0]
+    assert segment["finished"] == 200 and header["policy"]["privileged"] is False
+    assert {"commit", "dirty", "machine", "versions", "isolation"} <= segment.keys()
+    assert {name: len(digest) for name, digest in segment["packages"].items()} == dict.fromkeys(
+        ("rema_data", "evaluator", "baselines"), 64
+    )
+    assert header["seal"]["merkle_root"] == summary["merkle_root"] and header["seal"]["unfinished"] == 0
+
+
+def test_the_walls_around_the_policy_are_recorded(fake_home: Path) -> None:
+    class Walls:
+        def to_dict(self) -> dict[str, Any]:
+            return {"level": "L2", "up": {"files": "Landlock"}}
+
+    class Walled(FakePolicyProcess):
+        isolation = Walls()
+
+    run(fake_home / "run", Walled(), episodes=5, engine="inline")
+    header = json.loads((fake_home / "run" / "run.json").read_text())
+    assert header["segments"][0]["isolation"] == {"level": "L2", "up": {"files": "Landlock"}}
+
+
+def test_the_digest_of_a_package_is_that_of_its_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = tmp_path / "measured_package"
+    package.mkdir()
+    monkeypatch.syspath_prepend(str(tmp_path))
+    digests = []
+    for name, text in (("__init__.py", "raise ImportError"), ("a.py", "1"), ("a.py", "2")):
+        (package / name).write_text(text)
+        digests.append(source_digest("measured_package"))
+    (package / "notes.txt").write_text("no code")
+    assert len(set(digests)) == 3 and source_digest("measured_package") == digests[-1]
 
 
 def test_end_to_end_funnel(reference: bytes, fake_home: Path) -> None:

@@ -1,0 +1,130 @@
+"""A signature over ``run.json``, and through its seal over the whole run: Ed25519, 64 raw bytes in ``run.json.sig``.
+
+Keys are made by the tools that people have: ``openssl genpkey -algorithm ed25519`` or ``ssh-keygen -t ed25519``.
+Nothing here writes one. ``cryptography`` is an extra and imported when it is needed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rema_data.errors import InputError, MissingFileError
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+
+__all__ = ["SIGNATURE_FILE", "is_signed_by", "key_name", "read_private_key", "read_public_key"]
+
+SIGNATURE_FILE = "run.json.sig"
+_SSH_PRIVATE = b"-----BEGIN OPENSSH PRIVATE KEY-----"
+_SSH_PUBLIC = b"ssh-ed25519 "
+
+
+def read_private_key(path: Path, ask: Callable[[], str] | None = None) -> Ed25519PrivateKey:
+    """The key in a PEM (PKCS #8) or OpenSSH file.
+
+    Parameters
+    ----------
+    path : Path
+    ask : callable, optional
+        Called for the passphrase of an encrypted key.
+
+    Raises
+    ------
+    MissingFileError
+        There is no such file.
+    InputError
+        It holds no Ed25519 private key, its passphrase is another one, or ``cryptography`` is not installed.
+    """
+    _need_cryptography()
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+    from cryptography.hazmat.primitives.serialization import load_pem_private_key, load_ssh_private_key
+
+    payload = _read(path)
+    load = load_ssh_private_key if payload.startswith(_SSH_PRIVATE) else load_pem_private_key
+    try:
+        try:
+            key = load(payload, None)
+        except TypeError:  # it is encrypted
+            if ask is None:
+                raise
+            key = load(payload, ask().encode())
+    except Exception as error:  # whatever the parsers of foreign formats raise
+        raise InputError(
+            f"{path} cannot be used as a private key: {error}",
+            hint="make one: openssl genpkey -algorithm ed25519 -out key.pem",
+            path=str(path),
+        ) from error
+    if not isinstance(key, Ed25519PrivateKey):
+        raise InputError(
+            f"{path} holds a private key of another kind than Ed25519",
+            hint="make one: openssl genpkey -algorithm ed25519 -out key.pem",
+            path=str(path),
+        )
+    return key
+
+
+def read_public_key(path: Path) -> Ed25519PublicKey:
+    """The key in a PEM or OpenSSH (``ssh-ed25519 ...``) file.
+
+    Raises
+    ------
+    MissingFileError
+        There is no such file.
+    InputError
+        It holds no Ed25519 public key, or ``cryptography`` is not installed.
+    """
+    _need_cryptography()
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+    from cryptography.hazmat.primitives.serialization import load_pem_public_key, load_ssh_public_key
+
+    payload = _read(path)
+    try:
+        key = (load_ssh_public_key if payload.startswith(_SSH_PUBLIC) else load_pem_public_key)(payload)
+    except Exception as error:  # whatever the parsers of foreign formats raise
+        raise InputError(
+            f"{path} cannot be used as a public key: {error}",
+            hint="take it from the private one: openssl pkey -in key.pem -pubout -out public.pem",
+            path=str(path),
+        ) from error
+    if not isinstance(key, Ed25519PublicKey):
+        raise InputError(
+            f"{path} holds a public key of another kind than Ed25519",
+            hint="ask the signer for the Ed25519 public key",
+            path=str(path),
+        )
+    return key
+
+
+def is_signed_by(key: Ed25519PublicKey, signature: bytes, payload: bytes) -> bool:
+    """Whether ``signature`` was made over ``payload`` with the private half of ``key``."""
+    from cryptography.exceptions import InvalidSignature
+
+    try:
+        key.verify(signature, payload)
+    except InvalidSignature:
+        return False
+    return True
+
+
+def key_name(key: Ed25519PublicKey) -> str:
+    """Name of a key for people: the sha256 of its 32 raw bytes, hexadecimal."""
+    return hashlib.sha256(key.public_bytes_raw()).hexdigest()
+
+
+def _need_cryptography() -> None:
+    try:
+        import cryptography  # noqa: F401
+    except ImportError as error:
+        raise InputError(
+            "signatures need the package cryptography, which is not installed", hint="pip install 'rema[sign]'"
+        ) from error
+
+
+def _read(path: Path) -> bytes:
+    if not path.is_file():
+        raise MissingFileError(f"key file {path} does not exist", hint="check the path", path=str(path))
+    return path.read_bytes()

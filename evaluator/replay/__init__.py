@@ -1,0 +1,18 @@
+"""Play a finished run again from its recorded actions: no policy, no weights, no torch.
+
+Two things are checked: that what lies in the folder is what was sealed (``evaluator.evidence``), and that it is true,
+by simulating the recorded actions again and by counting the rows again.
+
+::
+
+    play      read, draw rows, simulate their recorded actions, compare
+    checks    what can be checked without simulation
+    report    what was found, and the signature that may be put under it
+"""
+
+from __future__ import annotations
+
+from evaluator.replay.play import replay
+from evaluator.replay.report import ReplayReport, sign
+
+__all__ = ["ReplayReport", "replay", "sign"]

@@ -1,0 +1,227 @@
+"""The replay itself: read, draw rows, simulate their recorded actions, compare."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import secrets
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from evaluator.engines import InfraError
+from evaluator.engines.child import call_in_child
+from evaluator.episodes import episodes_table, scenario_columns
+from evaluator.evidence.actions import recorded_actions
+from evaluator.evidence.check import Evidence, Finding, read_evidence, row_name
+from evaluator.evidence.header import RUN_FILE
+from evaluator.evidence.seal import EPISODES_FILE
+from evaluator.evidence.signature import SIGNATURE_FILE, is_signed_by, key_name
+from evaluator.records import Records
+from evaluator.replay.checks import (
+    invalid_actions,
+    scenarios_of,
+    shortened,
+    statistics_findings,
+    world_differences,
+)
+from evaluator.replay.report import ReplayReport
+from evaluator.runner import Backend, ProgressSink, Silent, default_backend
+from evaluator.runner.plan import Plan
+from evaluator.runner.simulate import pending_jobs, simulate_jobs
+from evaluator.runner.tally import unfinished
+from evaluator.scenarios import ScenarioList
+from evaluator.statistics import clopper_pearson
+from rema_data.errors import InputError
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+
+__all__ = ["replay"]
+
+
+def replay(
+    folder: Path,
+    *,
+    fraction: float = 1.0,
+    seed: int | None = None,
+    engine: str = "process",
+    workers: int | None = None,
+    public_key: Ed25519PublicKey | None = None,
+    progress: ProgressSink | None = None,
+    backend: Backend | None = None,
+) -> ReplayReport:
+    """Check a finished run: its seal, its signature, its statistics, and a share of its episodes by simulation.
+
+    Parameters
+    ----------
+    folder : Path
+        A run folder; nothing in it is changed.
+    fraction : float
+        Share of the measured episodes that are simulated again, 0 to 1. They are drawn at random, so that nobody can
+        know beforehand which rows will be looked at.
+    seed : int, optional
+        Draws the same episodes as an earlier replay; by default they are new ones each time.
+    engine, workers
+        See ``EvaluationConfig``.
+    public_key : Ed25519PublicKey, optional
+        Must have signed the run.
+    progress : ProgressSink, optional
+    backend : Backend, optional
+        The real world by default; its policy is not used.
+
+    Raises
+    ------
+    InputError
+        The fraction is none.
+    MissingFileError
+        There is no run, or it is not finished.
+    IntegrityError
+        ``run.json`` is none.
+    RunMismatchError
+        The run was played on a scenario list that is not the one here.
+    InfrastructureError
+        Workers cannot be started.
+    """
+    if not 0 <= fraction <= 1:
+        raise InputError(f"a fraction of {fraction}", hint="give a share from 0 to 1, such as 0.02")
+    evidence = read_evidence(folder)
+    job = _Replay(evidence, fraction, seed, progress or Silent(), backend or default_backend())
+    job.check_signature(public_key)
+    if evidence.trusted:
+        job.check(engine, workers)
+    return job.report(public_key)
+
+
+class _Replay:
+    """A replay under way: collects findings and counts."""
+
+    def __init__(
+        self, evidence: Evidence, fraction: float, seed: int | None, progress: ProgressSink, backend: Backend
+    ) -> None:
+        self.evidence, self.fraction, self.seed = evidence, fraction, seed
+        self.progress, self.backend = progress, backend
+        self.identity: dict[str, Any] = evidence.header["identity"]
+        self.findings = list(evidence.findings)
+        self.signature: bytes | None = None
+        self.differences: dict[str, tuple[Any, Any]] = {}
+        self.drawn: int | None = None
+        self.measured = self.unfinished = self.infra_errors = 0
+        self.replayed = self.lost = self.different = self.flips = 0
+
+    def check_signature(self, key: Ed25519PublicKey | None) -> None:
+        path = self.evidence.folder / SIGNATURE_FILE
+        self.signature = path.read_bytes() if path.is_file() else None
+        if key is None:
+            return
+        if self.signature is None:
+            self.findings.append(Finding(SIGNATURE_FILE, "", "is missing: the run is not signed"))
+        elif not is_signed_by(key, self.signature, self.evidence.payload):
+            detail = f"was not made over this {RUN_FILE} with the key {key_name(key)[:16]}"
+            self.findings.append(Finding(SIGNATURE_FILE, "", detail))
+
+    def check(self, engine: str, workers: int | None) -> None:
+        """Statistics and rows, as far as they can be read."""
+        evidence, table, backend = self.evidence, self.evidence.table, self.backend
+        task, protocol = self.identity["task"], self.identity["protocol"]
+        scenarios = scenarios_of(evidence)
+        here = call_in_child(backend.fingerprint)
+        self.differences = world_differences(self.identity, here, backend.protocol_hash(task, protocol))
+        if table is None or table.num_rows != evidence.header["episodes"]:
+            return
+        plan = Plan(scenarios.scenarios[: table.num_rows], task, protocol)
+        self.unfinished = unfinished(plan, table)
+        self.infra_errors = table.num_rows - table.column("infra_error").null_count
+        self.findings += statistics_findings(evidence, plan)
+        if evidence.actions is None:
+            return
+        if not self.differences:
+            self.findings += invalid_actions(evidence, plan, backend.valid_actions)
+        records = recorded_actions(evidence.actions, plan.steps)
+        sample = self._sample(table.column("success").to_pylist())
+        drawn = Plan([plan.scenarios[row] for row in sample], task, protocol)
+        self._simulate(drawn, records, engine, workers)
+        self._compare(scenarios, plan, records, set(sample))
+
+    def _sample(self, success: list[bool | None]) -> list[int]:
+        """Rows to be simulated again, ascending."""
+        measured = [row for row, value in enumerate(success) if value is not None]
+        self.measured = len(measured)
+        count = math.ceil(self.fraction * len(measured))
+        if count in (0, len(measured)):
+            return measured[:count]
+        self.drawn = secrets.randbits(32) if self.seed is None else self.seed
+        chosen = np.random.default_rng(self.drawn).choice(len(measured), count, replace=False)
+        return sorted(measured[position] for position in chosen.tolist())
+
+    def _simulate(self, plan: Plan, records: Records, engine: str, workers: int | None) -> None:
+        for step in plan.steps:
+            jobs = pending_jobs(plan.alive(step, records), step, records)
+            if jobs:
+                self.progress.phase("replay", len(jobs))
+                simulate_jobs(
+                    jobs,
+                    {job.key: (job.key, step) for job in jobs},
+                    records,
+                    self.progress,
+                    simulator=self.backend.simulator,
+                    engine=engine,
+                    workers=workers,
+                    order="shuffled",
+                )
+
+    def _compare(self, scenarios: ScenarioList, plan: Plan, records: Records, sample: set[int]) -> None:
+        """Every row against what it should be: scenario and action in all, outcomes in the sample."""
+        table = self.evidence.table
+        assert table is not None
+        expected = episodes_table(scenarios, table.num_rows, plan.steps, records).to_pylist()
+        lost = {key[0] for key, record in records.outcomes.items() if isinstance(record.outcome, InfraError)}
+        fixed = list(scenario_columns(plan.task))
+        fixed += [f"step{step}_{name}" for step in plan.steps for name in ("action", "x_m", "y_m", "theta_rad")]
+        self.replayed, self.lost = len(sample - lost), len(sample & lost)
+        for row, (said, found) in enumerate(zip(table.to_pylist(), expected, strict=True)):
+            names = [name for name in fixed if said[name] != found[name]]
+            if row in sample and row not in lost:
+                other = [name for name in said if said[name] != found[name]]
+                self.different += bool(other)
+                self.flips += said["success"] != found["success"] or said["failure"] != found["failure"]
+                names = names if self.differences else other
+            if names:
+                name, more = names[0], f" and {len(names) - 1} more columns" if len(names) > 1 else ""
+                detail = f"{name} says {shortened(said[name])}, the replay gives {shortened(found[name])}{more}"
+                self.findings.append(Finding(EPISODES_FILE, row_name(table, row), detail))
+
+    def report(self, key: Ed25519PublicKey | None) -> ReplayReport:
+        header, summary = self.evidence.header, self.evidence.summary or {}
+        audit = summary.get("audit")
+        return ReplayReport(
+            run=str(self.evidence.folder),
+            policy=str(header["policy"].get("name")),
+            task=str(self.identity.get("task")),
+            protocol=str(self.identity.get("protocol")),
+            merkle_root=str(header["seal"].get("merkle_root")),
+            run_sha256=hashlib.sha256(self.evidence.payload).hexdigest(),
+            episodes=header["episodes"],
+            unfinished=self.unfinished,
+            infra_errors=self.infra_errors,
+            fraction=self.fraction,
+            seed=self.drawn,
+            replayed=self.replayed,
+            lost=self.lost,
+            differences=self.differences,
+            different_rows=self.different,
+            different_ci95=self._share(self.different),
+            flips=self.flips,
+            flips_ci95=self._share(self.flips),
+            signed=self.signature is not None,
+            signer=None if key is None else key_name(key),
+            audit=audit if isinstance(audit, dict) else None,
+            findings=tuple(self.findings),
+        )
+
+    def _share(self, count: int) -> tuple[float, float]:
+        """Interval of a share among the measured rows; a point where all of them were looked at."""
+        if self.replayed and self.replayed == self.measured:
+            return count / self.replayed, count / self.replayed
+        return clopper_pearson(count, self.replayed)

@@ -1,0 +1,121 @@
+"""What a replay found, and the signature that may be put under it."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from evaluator.evidence.check import Finding
+from evaluator.evidence.header import RUN_FILE
+from evaluator.evidence.signature import SIGNATURE_FILE
+from rema_data.errors import IntegrityError, RunMismatchError
+from rema_data.storage import write_atomic
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+__all__ = ["ReplayReport", "sign"]
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayReport:
+    """What a replay found.
+
+    Attributes
+    ----------
+    run, policy, task, protocol : str
+    merkle_root : str
+        Over the rows of ``episodes.parquet``, hexadecimal.
+    run_sha256 : str
+        Of ``run.json``.
+    episodes, unfinished, infra_errors : int
+        Of the run: all, those without a result because it was cut short, those lost to the infrastructure.
+    fraction : float
+        Share of the measured episodes that was to be simulated again.
+    seed : int or None
+        With which they were drawn; None where all or none were.
+    replayed, lost : int
+        Episodes simulated again; those of them that could not be simulated here.
+    differences : dict of str to (recorded, here)
+        In what the simulator here differs from that of the run: rows may then come out otherwise, which is no finding.
+    different_rows : int
+        Replayed rows of which any recorded value came out otherwise.
+    different_ci95 : (float, float)
+        Clopper-Pearson interval of their share among all measured rows: its upper end bounds the share of false rows.
+    flips : int
+        Replayed rows with another success or another label.
+    flips_ci95 : (float, float)
+    signed : bool
+        Whether there is a signature.
+    signer : str or None
+        Name of the public key with which it was checked.
+    audit : dict or None
+        What the run says about its own repeats.
+    findings : tuple of Finding
+        Empty where everything is as it was sealed, and true.
+    """
+
+    run: str
+    policy: str
+    task: str
+    protocol: str
+    merkle_root: str
+    run_sha256: str
+    episodes: int
+    unfinished: int
+    infra_errors: int
+    fraction: float
+    seed: int | None
+    replayed: int
+    lost: int
+    differences: dict[str, tuple[Any, Any]]
+    different_rows: int
+    different_ci95: tuple[float, float]
+    flips: int
+    flips_ci95: tuple[float, float]
+    signed: bool
+    signer: str | None
+    audit: dict[str, Any] | None
+    findings: tuple[Finding, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing was found."""
+        return not self.findings
+
+    @property
+    def same_simulator(self) -> bool:
+        """Whether the simulator here is that of the run, so that every bit must come out the same."""
+        return not self.differences
+
+    def to_dict(self) -> dict[str, Any]:
+        """The report, ready for JSON."""
+        return {"ok": self.ok, "same_simulator": self.same_simulator, **asdict(self)}
+
+
+def sign(folder: Path, report: ReplayReport, key: Ed25519PrivateKey) -> Path:
+    """Sign ``run.json`` after a replay found nothing; the path of the signature.
+
+    Raises
+    ------
+    IntegrityError
+        The replay found something, or ``run.json`` has changed since.
+    RunMismatchError
+        The replay had another simulator, so nothing was confirmed.
+    StorageError
+        The folder may not be written.
+    """
+    if not report.ok:
+        raise IntegrityError(f"{folder} is not signed: the replay found something", hint="see the findings")
+    if not report.same_simulator:
+        raise RunMismatchError(
+            f"{folder} is not signed: the simulator here is not that of the run",
+            hint="replay it where the fingerprint is the same",
+        )
+    payload = (folder / RUN_FILE).read_bytes()
+    if hashlib.sha256(payload).hexdigest() != report.run_sha256:
+        raise IntegrityError(f"{folder / RUN_FILE} changed while it was replayed", hint="replay it again")
+    write_atomic(folder / SIGNATURE_FILE, key.sign(payload))
+    return folder / SIGNATURE_FILE

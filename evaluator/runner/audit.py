@@ -1,0 +1,188 @@
+"""The determinism audit: 1 % of a run once more, with nothing equal but the observations and the actions.
+
+The policy is asked again in a new process, in batches of other sizes and companions; the recorded actions are simulated
+again in a new process, in another order. A policy that remembers earlier questions or answers by position shows as
+action flips, a world that is not a pure function as outcome flips.
+
+The repeats are journals of their own, in ``records/audit``, so that an interrupted audit goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from evaluator.engines import Job
+from evaluator.episodes import verdict
+from evaluator.policy import ObservationBatch, PolicyFault
+from evaluator.records import Answered, Ledger, Records, same_outcome
+from evaluator.runner.backend import PolicyProcess
+from evaluator.runner.plan import Plan
+from evaluator.statistics import clopper_pearson
+from rema_data.schema import Observation, Situation, StepOutcome
+
+__all__ = ["Repeat", "ask_again", "audit_summary", "jobs_again", "repeats"]
+
+LEAST_EPISODES = 30
+"""Repeated even where the share gives fewer."""
+_BATCHES = (24, 40)
+"""Observations in one question: the first of these that is not the run's own batch size."""
+_KEY = b"rema audit v1"
+_FLIPS_NAMED = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Repeat:
+    """One step of one episode that is done again."""
+
+    index: int
+    step: int
+    situation: Situation
+
+
+def repeats(plan: Plan, ledger: Records, share: float) -> list[Repeat]:
+    """Every step of a share of the measured episodes, drawn by a fixed hash, in the order of that hash."""
+    measured = [s.index for s in plan.scenarios if verdict(s.index, plan.steps, ledger).success is not None]
+    ranked = sorted(measured, key=_rank)
+    chosen = set(ranked[: max(LEAST_EPISODES, math.ceil(share * len(measured)))] if share else ())
+    found = []
+    for step in plan.steps:
+        alive = plan.alive(step, ledger)
+        found += [Repeat(index, step, alive[index]) for index in ranked if index in chosen and index in alive]
+    return found
+
+
+def _rank(index: int) -> bytes:
+    return hashlib.blake2b(index.to_bytes(8, "big"), digest_size=16, key=_KEY).digest()
+
+
+def ask_again(
+    policy: PolicyProcess,
+    wanted: Iterable[Repeat],
+    batch_size: int,
+    observe: Callable[[Situation], Observation],
+    valid_actions: Callable[[str, int], npt.NDArray[np.bool_]],
+    again: Ledger,
+) -> Iterator[int]:
+    """Ask the policy about ``wanted`` and record the answers in ``again``.
+
+    Parameters
+    ----------
+    policy : PolicyProcess
+        A fresh one.
+    wanted : iterable of Repeat
+    batch_size : int
+        Of the run; the questions here have another size.
+    observe, valid_actions : callable
+        See ``Backend``.
+    again : Ledger
+        Of the audit.
+
+    Yields
+    ------
+    int
+        Number of observations answered just now.
+    """
+    size = next(size for size in _BATCHES if size != batch_size)
+    by_step: dict[int, list[Repeat]] = {}
+    for repeat in wanted:
+        if (repeat.index, repeat.step) not in again.answers:
+            by_step.setdefault(repeat.step, []).append(repeat)
+    for step, of_step in by_step.items():
+        for start in range(0, len(of_step), size):
+            batch = of_step[start : start + size]
+            situations = tuple(repeat.situation for repeat in batch)
+            question = _question([observe(situation) for situation in situations], situations[0], valid_actions)
+            answers = policy.act(question, situations if policy.privileged else None)
+            again.add_answers(
+                Answered(repeat.index, step, None, str(answer.reason), answer.detail)
+                if isinstance(answer, PolicyFault)
+                else Answered(repeat.index, step, int(answer))
+                for repeat, answer in zip(batch, answers, strict=True)
+            )
+            yield len(batch)
+
+
+def _question(
+    seen: Sequence[Observation],
+    situation: Situation,
+    valid_actions: Callable[[str, int], npt.NDArray[np.bool_]],
+) -> ObservationBatch:
+    valid = valid_actions(situation.task, situation.step)
+    return ObservationBatch(
+        scene=np.stack([one.scene_m() for one in seen]),
+        end_effector=np.stack([one.end_effector() for one in seen]),
+        primitive=situation.kind.primitive.value,
+        embodiment=situation.kind.embodiment.value,
+        task=situation.task,
+        step=situation.step,
+        valid=np.broadcast_to(valid, (len(seen), *valid.shape)),
+    )
+
+
+def jobs_again(wanted: Sequence[Repeat], ledger: Records, again: Records) -> list[Job]:
+    """The recorded actions of ``wanted`` that have no repeated outcome yet; a job's key is its position there."""
+    jobs = []
+    for position, repeat in enumerate(wanted):
+        answer = ledger.answers[repeat.index, repeat.step]
+        done = again.outcomes.get((repeat.index, repeat.step))
+        if answer.action is not None and (done is None or not isinstance(done.outcome, StepOutcome)):
+            jobs.append(Job(position, repeat.situation, answer.action))
+    return jobs
+
+
+def audit_summary(wanted: Sequence[Repeat], ledger: Records, again: Records) -> dict[str, Any]:
+    """How often the repeats came out otherwise, ready for JSON.
+
+    Parameters
+    ----------
+    wanted : sequence of Repeat
+    ledger : Records
+        Of the run.
+    again : Records
+        Of the audit.
+
+    Returns
+    -------
+    dict
+        ``actions`` asked again and ``action_flips`` among them, ``outcomes`` simulated again and ``outcome_flips`` (any
+        bit of an outcome), each with its Clopper-Pearson interval; ``lost``, repeats without an outcome; ``flipped``,
+        the first flips.
+    """
+    actions = outcomes = lost = action_flips = outcome_flips = 0
+    flipped: list[dict[str, Any]] = []
+    for repeat in wanted:
+        key = (repeat.index, repeat.step)
+        said, said_again = ledger.answers[key], again.answers.get(key)
+        if said_again is not None:
+            actions += 1
+            if said.action != said_again.action:
+                action_flips += 1
+                flipped.append({"index": repeat.index, "step": repeat.step, "what": "action"})
+        first, second = ledger.outcomes.get(key), again.outcomes.get(key)
+        if said.action is None or first is None:
+            continue
+        if second is None or not isinstance(second.outcome, StepOutcome):
+            lost += 1
+            continue
+        outcomes += 1
+        if not same_outcome(first.outcome, second.outcome):
+            outcome_flips += 1
+            flipped.append({"index": repeat.index, "step": repeat.step, "what": "outcome"})
+    return {
+        "episodes": len({repeat.index for repeat in wanted}),
+        "actions": actions,
+        "action_flips": action_flips,
+        "action_flips_ci95": list(clopper_pearson(action_flips, actions)),
+        "outcomes": outcomes,
+        "outcome_flips": outcome_flips,
+        "outcome_flips_ci95": list(clopper_pearson(outcome_flips, outcomes)),
+        "lost": lost,
+        "flipped": flipped[:_FLIPS_NAMED],
+    }

@@ -1,0 +1,86 @@
+"""Where and with what a segment of a run was made."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import subprocess
+import sys
+from contextlib import suppress
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+__all__ = ["environment", "source_digest"]
+
+_PACKAGES = ("rema", "numpy", "pybullet", "torch", "pyarrow", "scipy")
+_OWN = ("rema_data", "evaluator", "baselines")
+
+
+def environment() -> dict[str, Any]:
+    """Where and with what this process runs: for people, and to see mixed hardware; no part of a run's identity."""
+    return {
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "machine": {
+            "host": hashlib.sha256(platform.node().encode()).hexdigest()[:8],
+            "system": platform.system(),
+            "architecture": platform.machine(),
+            "processor": _processor(),
+            "cores": os.cpu_count(),
+        },
+        "versions": {"python": platform.python_version(), **_versions()},
+        "packages": {name: source_digest(name) for name in _OWN if find_spec(name) is not None},
+        **_commit(),
+    }
+
+
+def _versions() -> dict[str, str]:
+    found = {}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _processor() -> str:
+    if sys.platform == "linux":
+        with suppress(OSError), open("/proc/cpuinfo", encoding="utf-8") as file:
+            for line in file:
+                if line.startswith("model name"):
+                    return line.partition(":")[2].strip()
+    return platform.processor()
+
+
+def _commit() -> dict[str, Any]:
+    """Commit of the checkout that this code runs from, and whether it was changed; null for an installed wheel."""
+    root = Path(__file__).resolve().parents[2]
+    if (root / ".git").exists():
+        try:
+            head = _git(root, "rev-parse", "HEAD")
+            return {"commit": head, "dirty": bool(_git(root, "status", "--porcelain", "--untracked-files=no"))}
+        except (OSError, subprocess.SubprocessError):
+            pass
+    return {"commit": None, "dirty": None}
+
+
+def _git(root: Path, *arguments: str) -> str:
+    # Without optional locks: looking must not write into the checkout.
+    done = subprocess.run(
+        ["git", "--no-optional-locks", *arguments], cwd=root, capture_output=True, text=True, timeout=10, check=True
+    )
+    return done.stdout.strip()
+
+
+def source_digest(package: str) -> str:
+    """Sha256 over the names and contents of every Python file of a package, hexadecimal; nothing is imported."""
+    found = find_spec(package)
+    total = hashlib.sha256()
+    for folder in sorted(found.submodule_search_locations or []) if found else []:
+        for path in sorted(Path(folder).rglob("*.py")):
+            total.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
+    return total.hexdigest()

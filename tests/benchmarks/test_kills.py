@@ -1,0 +1,15 @@
+"""The benchmark of killed runs runs, in a reduced size."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from .test_benchmarks import measured
+
+
+def test_a_killed_judge_leaves_the_same_bytes(tmp_path: Path) -> None:
+    words = ("--kills", "1", "--episodes", "40", "--batch-size", "4")
+    numbers = measured(tmp_path, "kills", *words)["numbers"]
+    (kill,) = numbers["kills"]
+    assert kill["victim"] == "judge" and kill["same"] and kill["starts"] > 1
+    assert numbers["reference"] == {"asked": 70, "simulated": 70}  # 40, and 30 of the audit

@@ -1,0 +1,315 @@
+"""A replay confirms what is true, finds what is false however well it is sealed, and bounds what it did not look at."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+from evaluator.evidence.actions import POLICY_ERROR, decode_actions
+from evaluator.evidence.check import read_evidence
+from evaluator.replay import ReplayReport, replay, sign
+from evaluator.runner import run_evaluation
+from evaluator.runner.tally import tally
+from evaluator.statistics import clopper_pearson
+from rema_data import grid
+from rema_data.errors import (
+    InputError,
+    IntegrityError,
+    MissingFileError,
+    PolicyFailureError,
+    RunMismatchError,
+)
+from rema_data.schema import Situation, StepOutcome
+from tests.evaluator.fakes import (
+    FakePolicyProcess,
+    FakeSimulator,
+    fake_backend,
+    fake_config,
+    scenario_number,
+    write_fake_list,
+)
+
+from .conftest import EPISODES, LONG, seal_anew, with_value
+
+Copy = Callable[[str], Path]
+
+
+class OtherSimulator(FakeSimulator):
+    """Another world: another lift everywhere, and no success in scenarios 5, 15, 25 and so on."""
+
+    def run(self, situation: Situation, action: int) -> StepOutcome:
+        outcome = super().run(situation, action)
+        if scenario_number(situation) % 10 == 5:
+            return StepOutcome(False, None, "left", lift_m=7.0)
+        return replace(outcome, lift_m=outcome.lift_m + 1)
+
+
+def play(run: Path, **changes: Any) -> ReplayReport:
+    fields: dict[str, Any] = {"engine": "inline", "backend": fake_backend(), **changes}
+    return replay(run, **fields)
+
+
+@pytest.mark.parametrize("name", ["short", "long"])
+def test_a_true_run_is_confirmed_without_its_policy(home: Path, name: str) -> None:
+    before = {path: path.read_bytes() for path in (home / name).glob("*") if path.is_file()}
+
+    def refuse(*_: object) -> Any:
+        raise AssertionError("the policy was opened")
+
+    report = play(home / name, backend=fake_backend(open_policy=refuse, policy_digest=refuse))
+    assert report.ok and report.same_simulator and report.findings == ()
+    assert (report.episodes, report.replayed, report.lost, report.unfinished) == (EPISODES, EPISODES, 0, 0)
+    assert report.different_ci95 == (0.0, 0.0) and report.seed is None
+    assert {path: path.read_bytes() for path in before} == before
+
+
+def test_the_workers_engine_confirms_the_inline_run(home: Path) -> None:
+    assert play(home / "long", engine="process", workers=2).ok
+
+
+def test_policy_errors_are_in_the_log_and_are_replayed(home: Path) -> None:
+    evidence = read_evidence(home / "short")
+    assert evidence.actions is not None and evidence.summary is not None
+    assert int((evidence.actions == POLICY_ERROR).sum()) == evidence.summary["policy_errors"] > 0
+
+
+def test_end_to_end_every_step_is_played_from_the_log(home: Path) -> None:
+    log = decode_actions((home / "long" / "actions.bin").read_bytes(), EPISODES, 4)
+    table = pq.read_table(home / "long" / "episodes.parquet")
+    assert log is not None
+    for step in range(4):
+        recorded = table.column(f"step{step}_action").to_pylist()
+        assert [None if value >= grid.ACTIONS - 2 else value for value in log[:, step].tolist()] == recorded
+
+
+def test_a_fraction_is_drawn_anew_and_bounds_the_rest(home: Path) -> None:
+    first, second = (play(home / "short", fraction=0.25) for _ in range(2))
+    assert first.ok and first.replayed == EPISODES // 4
+    assert first.seed != second.seed
+    assert first.different_ci95 == clopper_pearson(0, EPISODES // 4)
+    assert play(home / "short", fraction=0.25, seed=first.seed).to_dict() == first.to_dict()
+    nothing = play(home / "short", fraction=0)
+    assert nothing.ok and nothing.replayed == 0 and nothing.different_ci95 == (0.0, 1.0)
+    with pytest.raises(InputError, match="fraction"):
+        play(home / "short", fraction=1.5)
+
+
+@pytest.mark.parametrize(
+    ("column", "change"),
+    [
+        ("success", lambda value: not value),
+        ("failure", lambda value: "slipped"),
+        ("step0_peak_force_n", lambda value: 1e-12 if value is None else value + 1e-9),
+        ("target_y_m", lambda value: value + 0.1),
+        ("step0_x_m", lambda value: value + grid.PIXEL_M),
+    ],
+)
+def test_a_false_row_is_found_though_everything_is_sealed_anew(
+    copy_of: Copy, column: str, change: Callable[[Any], Any]
+) -> None:
+    run = copy_of("short")
+    table = pq.read_table(run / "episodes.parquet")
+    forged = with_value(table, column, 60, change(table.column(column)[60].as_py()))
+    seal_anew(run, forged, **tally(forged, (0,)))
+    assert read_evidence(run).findings == ()
+    report = play(run)
+    assert [finding.file for finding in report.findings] == ["episodes.parquet"]
+    assert report.findings[0].where == "row 60 (v1/grasp/test/00060)"
+    assert column in report.findings[0].detail
+    assert report.different_rows == 1 and report.different_ci95 == (1 / EPISODES, 1 / EPISODES)
+
+
+def test_a_forged_sample_is_caught_with_the_rate_it_was_forged(copy_of: Copy) -> None:
+    run = copy_of("short")
+    table = pq.read_table(run / "episodes.parquet")
+    failed = [row for row, success in enumerate(table.column("success").to_pylist()) if not success]
+    for row in failed:
+        for column, value in (("success", True), ("failure", None), ("failed_step", None)):
+            table = with_value(table, column, row, value)
+    seal_anew(run, table, **tally(table, (0,)))
+    report = play(run, fraction=0.5, seed=3)
+    low, high = report.different_ci95
+    assert low <= len(failed) / EPISODES <= high
+    assert report.different_rows == len(report.findings) > 0
+
+
+def test_a_false_statistic_is_found_though_it_is_sealed_anew(copy_of: Copy) -> None:
+    run = copy_of("short")
+    table = pq.read_table(run / "episodes.parquet")
+    seal_anew(run, table, success_rate=0.99, policy="better")
+    found = {finding.where: finding.detail for finding in play(run, fraction=0).findings}
+    assert set(found) == {"success_rate", "policy"}
+    assert found["success_rate"].startswith("says 0.99, episodes.parquet gives 0.")
+
+
+def test_an_action_that_may_not_be_taken_is_found(copy_of: Copy) -> None:
+    run = copy_of("short")
+    table = with_value(pq.read_table(run / "episodes.parquet"), "step0_action", 9, 5)
+    seal_anew(run, table)
+    places = {(finding.file, finding.where) for finding in play(run).findings}
+    assert ("actions.bin", "row 9 (v1/grasp/test/00009), step 0") in places
+
+
+def test_a_tampered_action_log_is_not_played(copy_of: Copy) -> None:
+    run = copy_of("short")
+    content = bytearray((run / "actions.bin").read_bytes())
+    content[2 * 8] ^= 1
+    (run / "actions.bin").write_bytes(content)
+    report = play(run)
+    assert [finding.file for finding in report.findings] == ["actions.bin"]
+    assert report.replayed == EPISODES and report.different_rows == 0
+
+
+def test_a_header_that_was_changed_is_not_believed(copy_of: Copy) -> None:
+    run = copy_of("short")
+    text = (run / "run.json").read_text()
+    (run / "run.json").write_text(text.replace('"split": "test"', '"split": "val"'))
+    report = play(run)
+    assert not report.ok and report.replayed == 0
+
+
+def test_another_simulator_gives_flips_and_no_findings(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("REMA_FAKE_PARAMETERS", "other")
+    other = fake_backend(simulator="tests.evaluator.replay.test_replay:OtherSimulator")
+    report = play(home / "short", backend=other)
+    assert report.ok and report.differences == {"parameters": ("p", "other")}
+    rows = pq.read_table(home / "short" / "episodes.parquet").to_pylist()
+    asked = [row for row in rows if row["step0_action"] is not None]
+    assert report.different_rows == len(asked)
+    assert report.flips == sum(row["index"] % 10 == 5 for row in asked) > 0
+    share = report.flips / EPISODES
+    assert report.flips_ci95 == (share, share)
+    partly = play(home / "short", backend=other, fraction=0.5, seed=1)
+    assert partly.flips_ci95[0] < share < partly.flips_ci95[1]
+
+
+def test_the_same_fingerprint_with_other_outcomes_is_a_finding(home: Path) -> None:
+    other = fake_backend(simulator="tests.evaluator.replay.test_replay:OtherSimulator")
+    report = play(home / "long", backend=other)
+    assert not report.ok and report.different_rows == len(report.findings) > 0
+
+
+def test_another_scenario_list_cannot_be_replayed(home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_fake_list(tmp_path / "manifests", "grasp", 250)
+    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
+    with pytest.raises(RunMismatchError, match="another scenario list"):
+        play(home / "short")
+
+
+def test_an_interrupted_run_names_the_command_that_goes_on(home: Path, tmp_path: Path) -> None:
+    class Impatient:
+        simulating = False
+
+        def phase(self, name: str, total: int) -> None:
+            self.simulating = name == "simulate"
+
+        def advance(self, n: int) -> None:
+            if self.simulating:
+                raise KeyboardInterrupt
+
+        def note(self, text: str) -> None:
+            pass
+
+    config = fake_config(tmp_path / "run", episodes=50, engine="inline", audit_share=0.0)
+    with pytest.raises(KeyboardInterrupt):
+        run_evaluation(config, Impatient(), backend=fake_backend())
+    with pytest.raises(MissingFileError, match="interrupted") as caught:
+        play(tmp_path / "run")
+    assert "rema evaluate fake.py:Policy --task grasp" in caught.value.hint
+    run_evaluation(config, backend=fake_backend())
+    assert play(tmp_path / "run").ok
+
+
+def test_a_run_without_a_seal_gets_one_from_its_records(copy_of: Copy) -> None:
+    """Run folders of before there were seals: the same command again, and nothing is asked or simulated."""
+    run = copy_of("long")
+    before = (run / "episodes.parquet").read_bytes(), (run / "actions.bin").read_bytes()
+    header = json.loads((run / "run.json").read_text())
+    del header["seal"]
+    (run / "run.json").write_text(json.dumps(header, indent=2))
+    (run / "actions.bin").unlink()
+    (run / "leaves.bin").unlink()
+    with pytest.raises(MissingFileError, match="not sealed") as caught:
+        play(run)
+    assert f"--episodes {EPISODES} --output {run}" in caught.value.hint
+    process = FakePolicyProcess()
+    config = fake_config(run, LONG, protocol="end-to-end", episodes=EPISODES, engine="inline", audit_share=0.0)
+    run_evaluation(config, backend=fake_backend(process))
+    assert process.asked == 0
+    assert ((run / "episodes.parquet").read_bytes(), (run / "actions.bin").read_bytes()) == before
+    assert play(run).ok
+
+
+def test_a_run_that_was_cut_short_says_so(home: Path, tmp_path: Path) -> None:
+    config = fake_config(tmp_path / "run", episodes=300, engine="inline")
+    with pytest.raises(PolicyFailureError):
+        run_evaluation(config, backend=fake_backend(FakePolicyProcess(faulty=0.5)))
+    report = play(tmp_path / "run")
+    assert report.ok and report.unfinished > 100 and report.audit is None
+    assert report.replayed + report.unfinished == 300
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["seal"]["unfinished"] == report.unfinished
+
+
+def test_sign_and_check(copy_of: Copy) -> None:
+    run, key = copy_of("short"), Ed25519PrivateKey.generate()
+    public = key.public_key()
+    report = play(run, fraction=0.1, public_key=public)
+    assert [finding.file for finding in report.findings] == ["run.json.sig"]
+    with pytest.raises(IntegrityError, match="not signed"):
+        sign(run, report, key)
+    assert len(sign(run, play(run, fraction=0.1), key).read_bytes()) == 64
+    assert play(run, fraction=0, public_key=public).ok
+    other = play(run, fraction=0, public_key=Ed25519PrivateKey.generate().public_key())
+    assert [finding.file for finding in other.findings] == ["run.json.sig"]
+    # A forger can seal anew, but not sign.
+    table = pq.read_table(run / "episodes.parquet")
+    seal_anew(run, with_value(table, "step0_lift_m", 3, 0.125))
+    assert "run.json.sig" in {finding.file for finding in play(run, fraction=0, public_key=public).findings}
+
+
+def test_a_signature_is_not_put_under_what_could_not_be_confirmed(
+    copy_of: Copy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, key = copy_of("short"), Ed25519PrivateKey.generate()
+    report = play(run, fraction=0)
+    (run / "run.json").write_text((run / "run.json").read_text() + "\n")
+    with pytest.raises(IntegrityError, match="changed while"):
+        sign(run, report, key)
+    monkeypatch.setenv("REMA_FAKE_PARAMETERS", "other")
+    elsewhere = copy_of("long")
+    with pytest.raises(RunMismatchError, match="not that of the run"):
+        sign(elsewhere, play(elsewhere, fraction=0), key)
+
+
+def test_a_signature_stays_until_the_run_changes(home: Path, tmp_path: Path) -> None:
+    run = shutil.copytree(home / "long", tmp_path / "long")
+    key = Ed25519PrivateKey.generate()
+    sign(run, play(run, fraction=0), key)
+    fields: dict[str, Any] = {"protocol": "end-to-end", "engine": "inline", "audit_share": 0.0}
+    run_evaluation(fake_config(run, LONG, episodes=EPISODES, **{**fields, "workers": 5}), backend=fake_backend())
+    assert play(run, fraction=0, public_key=key.public_key()).ok
+    run_evaluation(fake_config(run, LONG, episodes=EPISODES + 20, **fields), backend=fake_backend())
+    assert not (run / "run.json.sig").exists()
+    report = play(run)
+    assert report.ok and not report.signed and report.episodes == EPISODES + 20
+
+
+def test_a_replay_loads_no_torch_and_no_physics_here() -> None:
+    code = (
+        "import sys, evaluator.replay, evaluator.cli.replay\nfrom evaluator.runner import default_backend\n"
+        "default_backend()\nprint(sorted({'torch', 'pybullet', 'pandas', 'cryptography'} & set(sys.modules)))"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
