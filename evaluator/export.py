@@ -1,68 +1,255 @@
-"""The leaderboard as text for other programs and documents: Markdown, CSV and JSON."""
+"""The leaderboard as text for other programs and documents: Markdown, HTML, LaTeX, CSV and JSON."""
 
 from __future__ import annotations
 
 import csv
 import dataclasses
+import html
 import io
 import json
 from collections.abc import Callable, Sequence
+from itertools import groupby
 
-from evaluator.leaderboard import Row, remarks
+from evaluator.leaderboard import PUBLISHED, Board, Row
+from evaluator.statistics import format_interval, percent
+from rema_data.schema import TASKS
 
-__all__ = ["COLUMNS", "FORMATS", "cells", "export"]
+__all__ = ["COLUMNS", "FORMATS", "cells", "export", "matrix", "titled_groups"]
 
-COLUMNS = ("task", "policy", "tag", "protocol", "k/n", "rate %", "95 %", "z", "errors", "failures")
+COLUMNS = (
+    "task",
+    "policy",
+    "tag",
+    "protocol",
+    "rank",
+    "k/n",
+    "rate %",
+    "95 %",
+    "ties",
+    "end-to-end %",
+    "funnel %",
+    "z",
+    "errors",
+    "failures",
+)
 """Titles of ``cells``."""
+_IN_TITLE = ("task", "protocol")
+_SHORT_HASH = 8
 
 
-def export(rows: Sequence[Row], form: str) -> str:
-    """``rows`` as ``md``, ``csv`` or ``json``, ending with a newline."""
-    return FORMATS[form](rows)
+def export(board: Board, form: str) -> str:
+    """``board`` as ``md``, ``html``, ``tex``, ``csv`` or ``json``, ending with a newline."""
+    return FORMATS[form](board)
 
 
 def cells(row: Row) -> tuple[str, ...]:
-    """The row as people read it, in the order of the columns; rates with one decimal."""
-    low, high = row.ci95 or (0.0, 1.0)
-    failures = sorted((row.failures or {}).items(), key=lambda item: -item[1])
+    """The row as people read it, in the order of the columns."""
+    failures = sorted((row.failures or {}).items(), key=lambda item: (-item[1], item[0]))
     errors = [
         f"{count} {kind}" for kind, count in (("policy", row.policy_errors), ("infra", row.infra_errors)) if count
     ]
+    if row.bounds is not None:
+        errors.append(f"rate in {format_interval(row.bounds)}")
+    if row.audit is not None and row.audit.action_flips:
+        errors.append(f"{row.audit.action_flips} of {row.audit.actions} repeated actions flipped")
     return (
         row.task,
         row.policy,
         row.tag,
         row.protocol,
+        "-" if row.rank is None else str(row.rank),
         f"> {row.episodes}" if row.successes is None else f"{row.successes}/{row.episodes}",
-        "-" if row.rate is None else f"{100 * row.rate + 1e-9:.1f}",
-        "-" if row.ci95 is None else f"{100 * low:.1f} .. {100 * high:.1f}",
+        "-" if row.rate is None else percent(row.rate),
+        "-" if row.ci95 is None else format_interval(row.ci95),
+        row.ties,
+        "" if row.end_to_end is None else percent(row.end_to_end),
+        _funnel(row),
         "" if row.z is None else f"{row.z:+.1f}",
         ", ".join(errors),
         ", ".join(f"{label} {count}" for label, count in failures[:3]),
     )
 
 
-def _markdown(rows: Sequence[Row]) -> str:
-    lines = [COLUMNS, tuple("---" for _ in COLUMNS), *(cells(row) for row in rows)]
-    table = "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines)
-    return "\n\n".join([table, *remarks(rows)]) + "\n"
+def _funnel(row: Row) -> str:
+    """Share of all measured episodes that passed each step, where the policy plays several."""
+    if len(row.funnel) < 2 or not row.episodes:
+        return ""
+    return " > ".join(percent(min(1.0, step.succeeded / row.episodes)) for step in row.funnel)
 
 
-def _csv(rows: Sequence[Row]) -> str:
+def titled_groups(board: Board) -> list[tuple[str, list[Row]]]:
+    """The tables of the board, one a task and protocol, each with its title."""
+    groups = []
+    for (task, protocol), found in groupby(board.rows, key=lambda row: (row.task, row.protocol)):
+        rows = list(found)
+        marks = {(row.scenarios_hash, row.protocol_hash) for row in rows if row.scenarios_hash and not row.unranked}
+        title = f"{task}, {protocol}"
+        for scenarios, rules in sorted(marks):
+            title += f" (scenarios {scenarios[:_SHORT_HASH]}, protocol {rules[:_SHORT_HASH]})"
+        groups.append((title, rows))
+    return groups
+
+
+def matrix(board: Board, protocol: str) -> tuple[list[str], list[list[str]]]:
+    """One line a policy and one column a task, for a page with little room: rate, interval and letters.
+
+    Parameters
+    ----------
+    board : Board
+    protocol : str
+
+    Returns
+    -------
+    header : list of str
+    lines : list of list of str
+        Policies without a rank are left out, but for privileged and published ones. Empty cells: not scored.
+    """
+    shown = [row for row in board.rows if row.protocol == protocol and (not row.unranked or row.tag == PUBLISHED)]
+    tasks = [task for task in TASKS if any(row.task == task for row in shown)]
+    lines: dict[tuple[bool, str, str, int], dict[str, Row]] = {}
+    for row in shown:
+        number = 1  # policies of one name stay apart
+        while row.task in lines.setdefault(key := (row.tag == PUBLISHED, row.policy, row.tag, number), {}):
+            number += 1
+        lines[key][row.task] = row
+    order = sorted(lines, key=lambda key: (key[0], -max(row.rate or 0.0 for row in lines[key].values()), key))
+    return ["policy", "kind", *tasks], [
+        [key[1] + (f" ({key[3]})" if key[3] > 1 else ""), key[2]]
+        + [_short(lines[key][task]) if task in lines[key] else "" for task in tasks]
+        for key in order
+    ]
+
+
+def _short(row: Row) -> str:
+    if row.rate is None or row.ci95 is None:
+        return "-"
+    if row.tag == PUBLISHED:
+        return percent(row.rate)
+    return f"{percent(row.rate)} [{format_interval(row.ci95)}] {row.ties}".strip()
+
+
+def markdown_table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    """A Markdown table, with every cell escaped."""
+    whole = [header, ["---"] * len(header), *lines]
+    return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in whole)
+
+
+def _markdown(board: Board) -> str:
+    return "\n\n".join([markdown_table(COLUMNS, [cells(row) for row in board.rows]), *board.remarks]) + "\n"
+
+
+def _html(board: Board) -> str:
+    """A page of its own, without anything from elsewhere."""
+    parts = [_HTML_HEAD]
+    for title, rows in titled_groups(board):
+        parts.append(f"<h2>{html.escape(title)}</h2>\n<div><table>")
+        parts.append("<tr>" + "".join(f"<th>{html.escape(name)}</th>" for name in _table_columns()) + "</tr>")
+        for row in rows:
+            line = [html.escape(cell) for cell in _table_cells(row)]
+            if row.link:
+                line[0] = f'<a href="{html.escape(row.link)}">{line[0]}</a>'
+            body = "".join(f"<td>{cell}</td>" for cell in line)
+            parts.append(f'<tr class="{html.escape(row.tag)}">{body}</tr>')
+        parts.append("</table></div>")
+    parts += [f"<p>{html.escape(remark)}</p>" for remark in board.remarks]
+    return "\n".join([*parts, "</body>", "</html>"]) + "\n"
+
+
+_HTML_HEAD = """<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>rema leaderboard</title>
+<style>
+:root { color-scheme: light dark; }
+body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 75rem; padding: 0 1rem; }
+div { overflow-x: auto; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
+th, td { border-bottom: 1px solid #8884; padding: .3rem .7rem; text-align: left; white-space: nowrap; }
+.published { opacity: .65; font-style: italic; }
+p { max-width: 50rem; }
+</style>
+</head>
+<body>
+<h1>rema leaderboard</h1>"""
+
+
+def _latex(board: Board) -> str:
+    """Tables for a paper that uses the package booktabs."""
+    columns = _table_columns()
+    parts = ["% needs \\usepackage{booktabs}"]
+    for title, rows in titled_groups(board):
+        parts += [
+            "\\begin{table}",
+            "\\centering",
+            f"\\caption{{{_tex(title)}}}",
+            f"\\begin{{tabular}}{{{'l' * len(columns)}}}",
+            "\\toprule",
+            " & ".join(map(_tex, columns)) + r" \\",
+            "\\midrule",
+            *(" & ".join(map(_tex, _table_cells(row))) + r" \\" for row in rows),
+            "\\bottomrule",
+            "\\end{tabular}",
+            "\\end{table}",
+            "",
+        ]
+    return "\n".join([*parts, *(f"% {remark}" for remark in board.remarks)]) + "\n"
+
+
+_TEX = {character: f"\\{character}" for character in "&%$#_{}"} | {
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+}
+
+
+def _tex(text: str) -> str:
+    return "".join(_TEX.get(character, character) for character in text)
+
+
+def _table_columns() -> list[str]:
+    return [name for name in COLUMNS if name not in _IN_TITLE]
+
+
+def _table_cells(row: Row) -> list[str]:
+    return [cell for name, cell in zip(COLUMNS, cells(row), strict=True) if name not in _IN_TITLE]
+
+
+_PAIRS = ("ci95", "bounds")
+_NESTED = ("failures", "funnel", "audit")
+
+
+def _csv(board: Board) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    names = [field.name for field in dataclasses.fields(Row) if field.name not in ("ci95", "failures")]
-    writer.writerow([*names, "ci95_low", "ci95_high", "failures"])
-    for row in rows:
-        low, high = row.ci95 or ("", "")
-        plain = ["" if getattr(row, name) is None else getattr(row, name) for name in names]
-        writer.writerow([*plain, low, high, json.dumps(row.failures or {}, sort_keys=True)])
+    plain = [field.name for field in dataclasses.fields(Row) if field.name not in (*_PAIRS, *_NESTED)]
+    ends = [f"{name}_{end}" for name in _PAIRS for end in ("low", "high")]
+    writer.writerow([*plain, *ends, *_NESTED])
+    for row in board.rows:
+        content = dataclasses.asdict(row)
+        line = ["" if content[name] is None else content[name] for name in plain]
+        for name in _PAIRS:
+            line += content[name] or ("", "")
+        writer.writerow(
+            [*line, *(json.dumps(content[name], sort_keys=True) if content[name] else "" for name in _NESTED)]
+        )
     return text.getvalue()
 
 
-def _json(rows: Sequence[Row]) -> str:
-    return json.dumps({"rows": [dataclasses.asdict(row) for row in rows], "remarks": remarks(rows)}, indent=2) + "\n"
+def _json(board: Board) -> str:
+    return (
+        json.dumps({"rows": [dataclasses.asdict(row) for row in board.rows], "remarks": board.remarks}, indent=2) + "\n"
+    )
 
 
-FORMATS: dict[str, Callable[[Sequence[Row]], str]] = {"md": _markdown, "csv": _csv, "json": _json}
+FORMATS: dict[str, Callable[[Board], str]] = {
+    "md": _markdown,
+    "html": _html,
+    "tex": _latex,
+    "csv": _csv,
+    "json": _json,
+}
 """Formats by name."""

@@ -1,57 +1,60 @@
-"""The leaderboard as tables for people: one a task and protocol, narrow enough for 80 columns."""
+"""The leaderboard as tables for people: one a task and protocol, with as many columns as the terminal has room for."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import groupby
 
 from rich import box
+from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from evaluator.export import COLUMNS, cells
-from evaluator.leaderboard import Row, remarks
+from evaluator.export import COLUMNS, cells, titled_groups
+from evaluator.leaderboard import Board, Row
 
 __all__ = ["print_board"]
 
 _STYLES = {"published": "dim", "privileged": "magenta", "random": "blue"}
-_ELSEWHERE = ("task", "protocol", "errors")  # in the title, and among the failures
-_NUMBERS = ("k/n", "rate %", "z")
-_NAME_WIDTH = 24
-_NARROW = 80
+_IN_TITLE = ("task", "protocol")
+_NUMBERS = ("rank", "k/n", "rate %", "z")
+_GIVEN_UP = ("failures", "errors", "funnel %", "z", "end-to-end %", "rank", "tag", "ties")
+"""Columns that a narrow terminal does without, the first one first."""
+_FOLDED = {"policy": 24, "failures": 18, "errors": 14}
+"""Columns that may be folded, to this width."""
+_GAP = 3
 
 
-def print_board(rows: Sequence[Row]) -> None:
-    """Print ``rows`` on stdout, and the remarks below."""
+def print_board(board: Board) -> None:
+    """Print a board on stdout, and the remarks below."""
     console = Console()
-    if not rows:
+    if not board.rows:
         console.print("no runs: score a policy with `rema evaluate`", markup=False)
         return
-    for (task, protocol), group in groupby(rows, key=lambda row: (row.task, row.protocol)):
-        console.print(_table(f"{task}, {protocol}", list(group), console.width))
-    for remark in remarks(rows):
-        console.print(Text(remark, style="dim"))
+    for title, rows in titled_groups(board):
+        console.print(_table(title, rows, console.width))
+    for remark in board.remarks:
+        console.print(Text(remark, style="bold red" if remark.startswith("ANOTHER SIMULATOR") else "dim"))
 
 
 def _table(title: str, rows: Sequence[Row], width: int) -> Table:
-    """One task; left out are columns in which every cell is empty, and two on a narrow terminal."""
+    """One task and protocol; columns in which every cell is empty are left out."""
     lines = [dict(zip(COLUMNS, cells(row), strict=True)) for row in rows]
-    for row, line in zip(rows, lines, strict=True):
-        lost = f"{row.infra_errors} not measured" if row.infra_errors else ""
-        line["failures"] = "; ".join(part for part in (lost, line["failures"]) if part)
-    left_out = (*_ELSEWHERE, "z", "failures") if width < _NARROW else _ELSEWHERE
-    shown = [name for name in COLUMNS if name not in left_out and any(line[name] for line in lines)]
+    shown = [name for name in COLUMNS if name not in _IN_TITLE and any(line[name] not in ("", "-") for line in lines)]
+    widths = {name: max(cell_len(line[name]) for line in [*lines, {name: name}]) for name in shown}
+    narrowest = {name: min(widths[name], _FOLDED.get(name, widths[name])) for name in shown}
+    for name in _GIVEN_UP:
+        if sum(narrowest[column] + _GAP for column in shown) > width and name in shown:
+            shown.remove(name)
     table = Table(
         title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1)
     )
     for name in shown:
-        widest = max(len(line[name]) for line in lines)
         table.add_column(
             name,
             justify="right" if name in _NUMBERS else "left",
-            no_wrap=name not in ("policy", "failures"),
-            min_width=min(widest, _NAME_WIDTH) if name == "policy" else None,
+            no_wrap=name not in _FOLDED,
+            min_width=narrowest[name],
             overflow="fold",
         )
     for row, line in zip(rows, lines, strict=True):

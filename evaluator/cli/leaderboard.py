@@ -1,4 +1,4 @@
-"""``rema leaderboard``: runs and published rates in one table."""
+"""``rema leaderboard``: runs, entries and published rates in one table."""
 
 from __future__ import annotations
 
@@ -11,19 +11,28 @@ __all__ = ["leaderboard"]
 
 @click.command()
 @click.argument("runs", nargs=-1, type=click.Path(path_type=Path))
-@click.option("--export", "form", type=click.Choice(["md", "csv", "json"]), help="Print this format instead.")
+@click.option(
+    "--export", "form", type=click.Choice(["md", "html", "tex", "csv", "json"]), help="Print this format instead."
+)
 @click.option("--json", "as_json", is_flag=True, help="The same as --export json.")
+@click.option("--entries/--no-entries", default=True, help="The entries that come with rema too.  [default: yes]")
 @click.option("--published/--no-published", default=True, help="The paper's rows too.  [default: yes]")
-def leaderboard(runs: tuple[Path, ...], form: str | None, as_json: bool, published: bool) -> None:
-    """Compare RUNS (run folders of `rema evaluate`; default: all below runs/) with 95 % intervals."""
+def leaderboard(runs: tuple[Path, ...], form: str | None, as_json: bool, entries: bool, published: bool) -> None:
+    """Compare RUNS in one table, with 95 % intervals and letters for those that do not differ beyond chance.
+
+    RUNS are run folders of `rema evaluate` and entries of `rema submit`; by default all run folders below runs/.
+    Only runs over the full test list have a rank.
+    """
+    from evaluator.entry import find_entries
     from evaluator.export import export
     from evaluator.leaderboard import find_runs
-    from evaluator.leaderboard import leaderboard as make_rows
+    from evaluator.leaderboard import leaderboard as make_board
 
-    rows = make_rows(runs or find_runs(Path("runs")), published)
+    sources = [*(runs or find_runs(Path("runs"))), *(find_entries() if entries else ())]
+    board = make_board(sources, published)
     if as_json or form:
-        click.echo(export(rows, "json" if as_json or form is None else form), nl=False)
+        click.echo(export(board, "json" if as_json or form is None else form), nl=False)
     else:
         from evaluator.cli.board import print_board
 
-        print_board(rows)
+        print_board(board)

@@ -44,9 +44,15 @@ VERBS: dict[str, Verb] = {
     "train": Verb("baselines.train.command:train", "Train a network on a release."),
     "rounds": Verb("baselines.rounds.recursion_command:rounds", "Collect and train in rounds, as a plan says."),
     "evaluate": Verb("evaluator.cli.evaluate:evaluate", "Score a policy on frozen scenarios."),
+    "merge": Verb("evaluator.cli.merge:merge", "Put the shards of an evaluation together."),
+    "replay": Verb("evaluator.cli.replay:replay", "Check a finished run by simulating its actions again."),
+    "proof": Verb("evaluator.cli.proof:proof", "Prove that one episode is part of a run."),
     "leaderboard": Verb(
         "evaluator.cli.leaderboard:leaderboard", "Compare runs in one table, beside the paper's rates."
     ),
+    "report": Verb("evaluator.cli.report:report", "Write one page about a run, with pictures of its episodes."),
+    "compare": Verb("evaluator.cli.compare:compare", "Compare two policies scenario by scenario."),
+    "submit": Verb("evaluator.cli.submit:submit", "Check a run and pack it into a leaderboard entry."),
     "scenarios": Verb("evaluator.cli.scenarios:scenarios", "Draw a new version of the frozen scenario lists."),
 }
 """Verbs in the order of the help. A target is a name and not an import: it may lie in a package above this one."""

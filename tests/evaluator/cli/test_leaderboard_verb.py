@@ -7,67 +7,108 @@ import io
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
 
 from evaluator.cli.main import cli
+from evaluator.entry import encode
+from evaluator.submission import make_entry
+from tests.evaluator.runs import EPISODES, solved, write_manifests, write_run
 
-WriteRun = Callable[..., Path]
+Write = Callable[..., Path]
+
+
+@pytest.fixture
+def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Write:
+    """``write(name, success, ...)`` writes ``runs/name`` below the working folder."""
+    write_manifests(tmp_path / "manifests")
+    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "140")
+
+    def run(name: str, success: Any, **changes: Any) -> Path:
+        return write_run(tmp_path / "runs" / name, success, **{"policy": name, **changes})
+
+    return run
 
 
 def board(*arguments: object) -> Result:
     return CliRunner().invoke(cli, ["leaderboard", *map(str, arguments)], prog_name="rema")
 
 
-def test_the_table(write_run: WriteRun) -> None:
-    run = write_run("a")
-    result = board(run, write_run("b", policy="my_policy", successes=700, failures={"slipped": 300}))
+def test_the_table(write: Write) -> None:
+    random, mine = solved(0.06, 1), solved(0.7, 2)
+    result = board(write("random", random), write("my_policy", mine))
     assert result.exit_code == 0, result.stderr
     lines = result.stdout.splitlines()
-    assert lines[0].startswith("grasp, conditional")
-    order = [next(n for n, line in enumerate(lines) if name in line) for name in ("joint", "my_policy", "random")]
-    assert order == sorted(order)
-    assert "56/1000" in result.stdout and "slipped" in result.stdout and "submitted" in result.stdout
+    assert lines[0].startswith("grasp, conditional (scenarios ")
+    ranked = [line.split()[:2] for line in lines if f"/{EPISODES}" in line]
+    assert ranked == [["my_policy", "submitted"], ["random", "random"]]
+    assert f"{random.sum()}/{EPISODES}" in result.stdout and f"missed {(~mine).sum()}" in result.stdout
     assert "push, conditional" not in result.stdout
     assert "Its scenes and its simulator are not" in " ".join(result.stdout.split())
 
 
-def test_narrow_terminals_keep_every_number_whole(write_run: WriteRun, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "60")
-    result = board(write_run("a"))
-    assert "56/1000" in result.stdout and "missed" not in result.stdout and "…" not in result.stdout
-    assert all(line.strip() for line in result.stdout.splitlines()[2:8])
+@pytest.mark.parametrize("columns", [60, 80, 100])
+def test_narrow_terminals_keep_every_number_whole(write: Write, monkeypatch: pytest.MonkeyPatch, columns: int) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    mine = solved(0.7, 2)
+    result = board(write("my_policy", mine), write("a_policy_with_a_rather_long_name", solved(0.4, 3)))
+    row = next(line for line in result.stdout.splitlines() if "my_policy" in line)
+    assert f"{mine.sum()}/{EPISODES}" in row and f"{100 * mine.mean():.1f}" in row
+    assert "…" not in result.stdout and all(len(line) <= columns for line in result.stdout.splitlines())
 
 
-def test_runs_are_found_below_runs(write_run: WriteRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_runs_are_found_below_runs(write: Write) -> None:
     assert "> 10000" in board().stdout
     assert "no runs" in board("--no-published").stdout
-    write_run("a")
-    assert "56/1000" in board("--no-published").stdout
+    mine = solved(0.7, 2)
+    write("my_policy", mine)
+    assert f"{mine.sum()}/{EPISODES}" in board("--no-published").stdout
 
 
-def test_exports(write_run: WriteRun) -> None:
-    run = write_run("a")
-    rows = json.loads(board(run, "--json").stdout)["rows"]
-    ours = next(row for row in rows if row["tag"] == "random")
-    assert (ours["successes"], ours["episodes"], ours["policy_errors"]) == (56, 1000, 4)
-    assert abs(ours["z"] - 0.09) < 0.05
-    table = list(csv.DictReader(io.StringIO(board(run, "--export", "csv").stdout)))
-    assert len(table) == len(rows) and table[-1]["policy"] in ("random",)
-    markdown = board(run, "--export", "md").stdout
-    assert "| grasp | random | random | conditional | 56/1000 | 5.6 |" in markdown
+def test_entries_that_come_with_the_installation_are_shown(write: Write, tmp_path: Path) -> None:
+    entry = tmp_path / "manifests" / "leaderboard" / "theirs.json"
+    entry.write_bytes(encode(make_entry(write("theirs", solved(0.5, 1)), "them")))
+    assert "them" in board("--no-published").stdout
+    shown = board("--no-published", "--no-entries").stdout
+    assert "theirs" in shown and "them " not in shown
+    entry.write_text(entry.read_text().replace("them", "thee"))
+    result = board()
+    assert result.exit_code == 6 and "theirs.json is refused" in result.stderr
+
+
+@pytest.mark.parametrize("form", ["md", "html", "tex", "csv", "json"])
+def test_exports_have_a_row_for_every_policy(write: Write, form: str) -> None:
+    result = board(write("my_policy", solved(0.7, 2)), "--export", form)
+    assert result.exit_code == 0, result.stderr
+    assert result.stdout.count("published") >= 4
+    assert ("my_policy" if form != "tex" else r"my\_policy") in result.stdout
+
+
+def test_json_is_an_object_alone(write: Write) -> None:
+    mine = solved(0.7, 2)
+    run = write("my_policy", mine)
+    whole = json.loads(board(run, "--json").stdout)
+    (ours,) = [row for row in whole["rows"] if row["tag"] == "submitted"]
+    assert (ours["successes"], ours["episodes"], ours["rank"]) == (mine.sum(), EPISODES, 1)
     assert board(run, "--export", "json").stdout == board(run, "--json").stdout
+    table = list(csv.DictReader(io.StringIO(board(run, "--export", "csv").stdout)))
+    assert [row["policy"] for row in table] == [row["policy"] for row in whole["rows"]]
 
 
-def test_bad_runs(write_run: WriteRun, tmp_path: Path) -> None:
+def test_bad_runs(write: Write, tmp_path: Path) -> None:
     result = board(tmp_path / "none")
     assert result.exit_code == 2 and "holds no finished run" in result.stderr
-    broken = write_run("broken")
-    (broken / "summary.json").write_text("{")
-    assert board(broken).exit_code == 2
-    (broken / "summary.json").write_text("[]")
-    assert board(broken).exit_code == 2
-    result = board(write_run("odd", task="fly"))
+    broken = write("broken", solved(0.7, 2))
+    for content in ("{", "[]", "{}", '{"task": "grasp"}'):
+        (broken / "summary.json").write_text(content)
+        assert board(broken).exit_code == 2
+    result = board(write("odd", solved(0.5, 1), protocol_hash=3, policy="\x1b[2J"))
+    assert result.exit_code == 2 and "policy name" in result.stderr and "\x1b" not in result.stderr
+    summary = json.loads((tmp_path / "runs" / "odd" / "summary.json").read_text())
+    (tmp_path / "runs" / "odd" / "summary.json").write_text(json.dumps({**summary, "task": "fly"}))
+    result = board(tmp_path / "runs" / "odd")
     assert result.exit_code == 2 and "unknown task 'fly'" in result.stderr and "Traceback" not in result.stderr

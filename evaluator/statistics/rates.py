@@ -1,4 +1,4 @@
-"""Statistics of one rate: intervals, how to print them, and the distance to a published rate.
+"""One rate: its interval, how to print it, what lost episodes leave open, and the distance to a published rate.
 
 scipy is imported when it is needed: it is slow to load, and the command line shows its help without it.
 """
@@ -10,14 +10,24 @@ from typing import Literal
 
 from rema_data.errors import InputError
 
-__all__ = ["clopper_pearson", "format_rate", "wilson", "z_against_published"]
+__all__ = [
+    "clopper_pearson",
+    "error_bounds",
+    "format_interval",
+    "format_rate",
+    "percent",
+    "rate_interval",
+    "wilson",
+    "z_against_published",
+]
 
 PUBLISHED_EPISODES = 10_000
 """Episodes behind a published rate: the paper says "over 10K"."""
+_MAX_DIGITS = 4
 
 
 def wilson(successes: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Wilson score interval of a rate: the default of every table.
+    """Wilson score interval of a rate.
 
     Parameters
     ----------
@@ -47,6 +57,15 @@ def clopper_pearson(successes: int, n: int, confidence: float = 0.95) -> tuple[f
     return _interval(successes, n, confidence, "exact")
 
 
+def rate_interval(successes: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
+    """The interval that the tables show: Wilson, and Clopper-Pearson where every episode ended alike.
+
+    A rate of 0 or 1 is read as a guarantee ("it never fails"), so its bound is the one that guarantees.
+    Parameters, returns and errors are those of ``wilson``.
+    """
+    return (clopper_pearson if successes in (0, n) else wilson)(successes, n, confidence)
+
+
 def _interval(successes: int, n: int, confidence: float, method: Literal["wilson", "exact"]) -> tuple[float, float]:
     if not 0 <= successes <= n:
         raise InputError(f"{successes} successes of {n} episodes", hint="give 0 <= successes <= n")
@@ -60,12 +79,50 @@ def _interval(successes: int, n: int, confidence: float, method: Literal["wilson
     return max(0.0, float(interval.low)), min(1.0, float(interval.high))
 
 
+def error_bounds(successes: int, measured: int, lost: int) -> tuple[float, float]:
+    """The rate if all lost episodes had failed, and if all had succeeded.
+
+    Parameters
+    ----------
+    successes, measured : int
+    lost : int
+        Episodes without a measurement (infrastructure errors).
+
+    Raises
+    ------
+    InputError
+        When the counts cannot be.
+    """
+    if not 0 <= successes <= measured or lost < 0 or measured + lost == 0:
+        raise InputError(
+            f"{successes} successes of {measured} episodes, and {lost} lost ones",
+            hint="give 0 <= successes <= measured, with one episode at least",
+        )
+    return successes / (measured + lost), (successes + lost) / (measured + lost)
+
+
+def percent(share: float) -> str:
+    """A share in per cent: one decimal, and more only where rounding would claim 0 or 100."""
+    if share in (0.0, 1.0):
+        return f"{100 * share:.0f}"
+    for digits in range(1, _MAX_DIGITS + 1):
+        text = f"{100 * share + 1e-9:.{digits}f}"
+        if float(text) not in (0.0, 100.0):
+            break
+    return text
+
+
+def format_interval(interval: tuple[float, float]) -> str:
+    """``5.1, 6.0``: the ends of an interval in per cent."""
+    low, high = interval
+    return f"{percent(low)}, {percent(high)}"
+
+
 def format_rate(successes: int, n: int, confidence: float = 0.95) -> str:
-    """A rate as people should read it: ``5.5 % [5.1, 6.0]``, one decimal and the Wilson interval; ``-`` without n."""
+    """A rate as people should read it: ``5.5 % [5.1, 6.0]``, by ``rate_interval``; ``-`` without an episode."""
     if n == 0:
         return "-"
-    low, high = wilson(successes, n, confidence)
-    return f"{100 * successes / n:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
+    return f"{percent(successes / n)} % [{format_interval(rate_interval(successes, n, confidence))}]"
 
 
 def z_against_published(

@@ -1,4 +1,4 @@
-"""Intervals against what is known of them."""
+"""Intervals of one rate against what is known of them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import beta, binom, norm
 
-from evaluator.statistics import clopper_pearson, format_rate, wilson, z_against_published
+from evaluator.statistics import (
+    clopper_pearson,
+    error_bounds,
+    format_rate,
+    percent,
+    rate_interval,
+    wilson,
+    z_against_published,
+)
 from rema_data.errors import InputError
 
 COUNTS = st.integers(1, 20_000).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n)))
@@ -59,13 +67,43 @@ def test_wilson_covers_about_what_it_says(rate: float, n: int) -> None:
 
 
 def test_no_episode_knows_nothing() -> None:
-    assert wilson(0, 0) == clopper_pearson(0, 0) == (0.0, 1.0)
+    assert wilson(0, 0) == clopper_pearson(0, 0) == rate_interval(0, 0) == (0.0, 1.0)
     assert format_rate(0, 0) == "-"
 
 
-def test_rates_are_printed_with_one_decimal() -> None:
+def test_rates_are_printed_with_one_decimal_and_never_round_to_a_guarantee() -> None:
     assert format_rate(553, 10_000) == "5.5 % [5.1, 6.0]"
-    assert format_rate(0, 100) == "0.0 % [0.0, 3.7]"
+    assert format_rate(0, 100) == "0 % [0, 3.6]"
+    assert format_rate(10_000, 10_000) == "100 % [99.96, 100]"
+    assert format_rate(9_999, 10_000).startswith("99.99 %")
+
+
+@given(st.floats(0, 1))
+def test_only_a_certain_share_prints_as_certain(share: float) -> None:
+    text = percent(share)
+    assert (text in ("0", "100")) == (share in (0.0, 1.0))
+    assert abs(float(text) - 100 * share) <= 0.0501
+
+
+@given(COUNTS)
+def test_the_tables_show_wilson_and_the_guarantee_at_the_ends(counts: tuple[int, int]) -> None:
+    successes, n = counts
+    ends = successes in (0, n)
+    assert rate_interval(successes, n) == (clopper_pearson if ends else wilson)(successes, n)
+
+
+@given(COUNTS, st.integers(0, 50))
+def test_the_bounds_hold_every_way_in_which_lost_episodes_could_have_ended(counts: tuple[int, int], lost: int) -> None:
+    successes, measured = counts
+    low, high = error_bounds(successes, measured, lost)
+    for solved in (0, lost // 2, lost):
+        assert low <= (successes + solved) / (measured + lost) <= high
+    assert low == pytest.approx(high) if lost == 0 else high - low == pytest.approx(lost / (measured + lost))
+
+
+def test_bounds_of_nothing() -> None:
+    with pytest.raises(InputError):
+        error_bounds(0, 0, 0)
 
 
 @pytest.mark.parametrize(("successes", "n", "confidence"), [(-1, 5, 0.95), (6, 5, 0.95), (1, 5, 0.0), (1, 5, 95.0)])

@@ -1,0 +1,77 @@
+"""Write the leaderboard of the README from the entries in manifests/leaderboard: no number in it is typed.
+
+    python benchmarks/leaderboard.py                    # README.md
+    python benchmarks/leaderboard.py --page FILE
+
+Only what stands between the markers of the page is replaced.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks.results import ROOT
+from evaluator.entry import find_entries
+from evaluator.export import markdown_table, matrix
+from evaluator.leaderboard import leaderboard
+from evaluator.protocol import PROTOCOLS
+from rema_data.errors import InputError, RemaError
+
+PAGE = ROOT / "README.md"
+START = "<!-- leaderboard: made by benchmarks/leaderboard.py -->"
+END = "<!-- end of leaderboard -->"
+NOTE = (
+    "Success, % [95 % interval], over the 10,000 test scenarios of a task. Policies of one column that share a letter "
+    "do not differ beyond chance (paired tests on the same scenarios, adjusted for their number). `privileged`: it saw "
+    "the ground truth. `published`: the paper's rates, whose scenes and simulator are not ours. `rema leaderboard` "
+    "shows the rest."
+)
+
+
+def section() -> str:
+    """The text between the markers: one table for each protocol that has a row."""
+    board = leaderboard(find_entries())
+    parts = []
+    for protocol in PROTOCOLS:
+        header, lines = matrix(board, protocol)
+        if lines:
+            parts += [f"**{protocol.capitalize()}**", markdown_table(header, lines)]
+    return "\n\n".join([*parts, NOTE])
+
+
+def replace_section(text: str, content: str) -> str:
+    """``text`` with what stands between the markers replaced.
+
+    Raises
+    ------
+    InputError
+        The markers are not there.
+    """
+    head, found, rest = text.partition(START)
+    _, closed, tail = rest.partition(END)
+    if not (found and closed):
+        raise InputError("the page has no place for the leaderboard", hint=f"add the lines {START} and {END}")
+    return f"{head}{START}\n\n{content}\n\n{END}{tail}"
+
+
+def main() -> int:
+    """Replace the section of the page; says where."""
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("--page", type=Path, default=PAGE)
+    arguments = options.parse_args()
+    try:
+        text = replace_section(arguments.page.read_text(encoding="utf-8"), section())
+    except RemaError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+    arguments.page.write_text(text, encoding="utf-8")
+    print(arguments.page)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

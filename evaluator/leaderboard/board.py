@@ -1,0 +1,142 @@
+"""The leaderboard: rows in order, and the sentences that belong under them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from evaluator.entry import read_scored
+from evaluator.leaderboard.ranking import LEVEL, Pair, rank_runs
+from evaluator.leaderboard.row import PUBLISHED, Row, published_rows, row_of
+from evaluator.scored import ScoredRun
+from evaluator.statistics import detectable_difference
+from rema_data.schema import TASKS
+
+__all__ = ["PUBLISHED_REMARK", "Board", "find_runs", "leaderboard"]
+
+PUBLISHED_REMARK = (
+    "published: rates of the paper's Table 2, over more than 10,000 episodes each. Its scenes and its simulator are "
+    "not ours, so z (same policy, ours minus published, in standard errors) says how close the worlds are, "
+    "not who is better."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """The table.
+
+    Attributes
+    ----------
+    rows : tuple of Row
+        Task by task and protocol by protocol: ranked and published rows by rate, then the others by rate.
+    remarks : tuple of str
+        What the rows mean, and which of them do not compare.
+    """
+
+    rows: tuple[Row, ...]
+    remarks: tuple[str, ...]
+
+
+def leaderboard(sources: Sequence[Path], published: bool = True) -> Board:
+    """The board of runs, entries and the paper.
+
+    Parameters
+    ----------
+    sources : sequence of Path
+        Run folders with a ``summary.json``, and entry files. A run that is there as an entry as well is shown once.
+    published : bool
+        Add the paper's rows: of the tasks that the sources are about, or of all where there is no source.
+
+    Raises
+    ------
+    MissingFileError
+        A run has no summary, or there is no such entry.
+    InputError, IntegrityError
+        A summary cannot be read; an entry or a table of outcomes is damaged.
+    """
+    runs = _once([read_scored(source) for source in sources])
+    standings, pairs = rank_runs(runs)
+    whole = {
+        _policy(run): run.counts.successes / run.counts.eligible
+        for run, standing in zip(runs, standings, strict=True)
+        if run.protocol == "end-to-end" and run.counts.eligible and not standing.unranked
+    }
+    rows = [
+        row_of(run, **asdict(standing), end_to_end=None if run.protocol == "end-to-end" else whole.get(_policy(run)))
+        for run, standing in zip(runs, standings, strict=True)
+    ]
+    if published:
+        tasks = {row.task for row in rows} or set(TASKS)
+        rows += [row for row in published_rows() if row.task in tasks]
+    rows.sort(key=_place)
+    return Board(tuple(rows), tuple(_remarks(rows, pairs)))
+
+
+def find_runs(folder: Path) -> list[Path]:
+    """Run folders below ``folder`` that have a summary, sorted."""
+    return sorted(path.parent for path in folder.glob("*/summary.json"))
+
+
+def _once(runs: Sequence[ScoredRun]) -> list[ScoredRun]:
+    """Runs without those that say what an earlier one said; entries come first, as they carry a name and a link."""
+    kept: dict[tuple[object, ...], ScoredRun] = {}
+    for number, run in enumerate(sorted(runs, key=lambda run: run.kind != "entry")):
+        same: tuple[object, ...] = (number,)
+        if run.outcomes is not None and run.marks.policy_digest:
+            bits = (run.outcomes.success.tobytes(), run.outcomes.eligible.tobytes())
+            same = (run.task, run.protocol, run.split, run.marks.policy_digest, run.marks.scenarios_hash, *bits)
+        kept.setdefault(same, run)
+    return list(kept.values())
+
+
+def _policy(run: ScoredRun) -> tuple[str, str]:
+    return run.task, run.marks.policy_digest or str(run.source)
+
+
+def _place(row: Row) -> tuple[object, ...]:
+    last = bool(row.unranked) and row.tag != PUBLISHED
+    return list(TASKS).index(row.task), row.protocol, last, -(row.rate or 0.0), row.tag, row.policy, row.source
+
+
+def _remarks(rows: Sequence[Row], pairs: Sequence[Pair]) -> Iterator[str]:
+    if any(row.tag == PUBLISHED for row in rows):
+        yield PUBLISHED_REMARK
+    if pairs:
+        yield (
+            "ties: policies of one table that share a letter do not differ beyond chance (mid-p McNemar on the same "
+            f"scenarios, Holm over the {len(pairs)} {'pair' if len(pairs) == 1 else 'pairs'} of the board, "
+            f"p > {LEVEL:g}). {_power(pairs)}"
+        )
+    if any(row.tag == "privileged" for row in rows):
+        yield "privileged: it saw the ground truth, so it has letters but no rank."
+    for row in rows:
+        if row.unranked and row.tag != PUBLISHED:
+            yield f"{row.policy} ({row.task}, {row.protocol}) has no rank: {row.unranked}."
+    for task, protocol in dict.fromkeys((row.task, row.protocol) for row in rows):
+        marks = {row.fingerprint for row in rows if (row.task, row.protocol) == (task, protocol) and not row.unranked}
+        if len(marks) > 1:
+            yield (
+                f"ANOTHER SIMULATOR: the runs of {task} ({protocol}) come from different builds or constants of the "
+                "simulator: a part of their difference may be the simulator's."
+            )
+    if any(row.infra_errors for row in rows):
+        yield "Episodes lost to the infrastructure are in no denominator; the bounds count them as failed, or solved."
+    if any(row.tag != PUBLISHED for row in rows):
+        yield "Intervals are of one checkpoint, not of a training method: that would need several trainings."
+
+
+def _power(pairs: Sequence[Pair]) -> str:
+    """What the pairs at hand could have found, one by one."""
+    found = [
+        difference
+        for pair in pairs
+        if (difference := detectable_difference(pair.table.n, pair.table.discordance)) is not None
+    ]
+    if not found:
+        return "At so few discordant scenarios no difference could have been found with 80 % power."
+    low, high = (f"{100 * end:.2f}" for end in (min(found), max(found)))
+    span = low if low == high else f"{low} to {high}"
+    return (
+        f"Smallest difference that a single pair finds with 80 % power: {span} points, by how often the two disagree."
+    )

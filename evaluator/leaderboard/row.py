@@ -1,0 +1,146 @@
+"""Rows of the leaderboard: a scored run, or a published rate."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+from evaluator.leaderboard.published import published_rate, published_table
+from evaluator.scored import Audit, FunnelStep, ScoredRun
+from evaluator.statistics import error_bounds, rate_interval, z_against_published
+
+__all__ = ["PUBLISHED", "Row", "published_rows", "row_of"]
+
+PUBLISHED = "published"
+"""The tag of the paper's rows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One policy on one task.
+
+    Attributes
+    ----------
+    policy : str
+    tag : str
+        ``submitted``, ``learned`` (a built-in network), ``privileged``, ``random`` or ``published``.
+    task, protocol, split : str
+    successes : int or None
+        Not published by the paper.
+    episodes : int
+        Eligible episodes: the denominator.
+    rate : float or None
+        Share in 0..1; None where no episode was eligible.
+    ci95 : (float, float) or None
+        Wilson; Clopper-Pearson where the rate is 0 or 1.
+    bounds : (float, float) or None
+        The rate if all episodes lost to the infrastructure had failed, or succeeded; None where none was lost.
+    policy_errors, infra_errors : int
+        Policy errors are failures and in the denominator, infrastructure errors are neither.
+    failures : dict of str -> int
+        Failed episodes by label.
+    funnel : tuple of FunnelStep
+        Of the steps in which the policy acts.
+    audit : Audit or None
+        What was repeated, and came out otherwise.
+    rank : int or None
+        1 plus the number of policies that are better beyond chance; None without a rank.
+    ties : str
+        Letters: ranked rows of one task and protocol that share one do not differ. Empty where nothing was compared.
+    unranked : str
+        Why there is no rank.
+    end_to_end : float or None
+        The same policy's rate over the whole task, on conditional rows of tasks of several steps.
+    z : float or None
+        Distance to the published rate of the same policy and task, in standard errors.
+    policy_digest, protocol_hash, scenarios_hash, fingerprint : str
+        What was scored, by what rules, on what, and in which simulator. Empty if published.
+    source : str
+        The run folder or the entry.
+    link : str
+    """
+
+    policy: str
+    tag: str
+    task: str
+    protocol: str
+    split: str
+    successes: int | None
+    episodes: int
+    rate: float | None
+    ci95: tuple[float, float] | None
+    bounds: tuple[float, float] | None = None
+    policy_errors: int = 0
+    infra_errors: int = 0
+    failures: dict[str, int] | None = None
+    funnel: tuple[FunnelStep, ...] = ()
+    audit: Audit | None = None
+    rank: int | None = None
+    ties: str = ""
+    unranked: str = ""
+    end_to_end: float | None = None
+    z: float | None = None
+    policy_digest: str = ""
+    protocol_hash: str = ""
+    scenarios_hash: str = ""
+    fingerprint: str = ""
+    source: str = ""
+    link: str = ""
+
+
+def row_of(run: ScoredRun, **standing: Any) -> Row:
+    """The row of a run; ``standing`` are the fields that depend on the other rows."""
+    counts, marks, z = run.counts, run.marks, None
+    # A stranger's "joint.py" is not the paper's joint.
+    comparable = run.protocol == "conditional" and run.tag != "submitted"
+    known = published_rate(run.policy, run.task) if comparable else None
+    if known is not None and counts.eligible:
+        z, _ = z_against_published(counts.successes, counts.eligible, known)
+    return Row(
+        policy=run.policy,
+        tag=run.tag,
+        task=run.task,
+        protocol=run.protocol,
+        split=run.split,
+        successes=counts.successes,
+        episodes=counts.eligible,
+        rate=counts.successes / counts.eligible if counts.eligible else None,
+        ci95=rate_interval(counts.successes, counts.eligible) if counts.eligible else None,
+        bounds=error_bounds(counts.successes, counts.eligible, counts.infra_errors) if counts.infra_errors else None,
+        policy_errors=counts.policy_errors,
+        infra_errors=counts.infra_errors,
+        failures=counts.failures,
+        funnel=counts.funnel,
+        audit=run.audit,
+        z=z,
+        policy_digest=marks.policy_digest,
+        protocol_hash=marks.protocol_hash,
+        scenarios_hash=marks.scenarios_hash,
+        fingerprint=json.dumps(marks.fingerprint, sort_keys=True) if marks.fingerprint else "",
+        source=str(run.source),
+        link=run.link,
+        **standing,
+    )
+
+
+def published_rows() -> list[Row]:
+    """The paper's Table 2, lower half."""
+    table = published_table()
+    count = int(table["episodes"])
+    return [
+        Row(
+            policy=policy,
+            tag=PUBLISHED,
+            task=task,
+            protocol=table["protocol"],
+            split="",
+            successes=None,
+            episodes=count,
+            rate=round(percent / 100, 6),
+            ci95=rate_interval(round(percent / 100 * count), count),
+            unranked=PUBLISHED,
+        )
+        for policy, rates in table["success_percent"].items()
+        for task, percent in rates.items()
+    ]

@@ -1,0 +1,129 @@
+"""Scenarios by what their target is like: shape, size and yaw. For exploring where a policy fails, not for ranking."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from evaluator.scenarios import load_list
+from rema_data.errors import IntegrityError
+from rema_data.schema import Shape
+
+__all__ = ["Stratum", "Targets", "strata", "targets_of_list", "targets_of_run"]
+
+QUARTILES = (0.25, 0.5, 0.75)
+YAW_BINS = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Targets:
+    """The objects that the last step is about, scenario by scenario.
+
+    Attributes
+    ----------
+    shape : str (N,)
+    length_m, width_m : float64 (N,)
+        Of the main bar.
+    yaw_rad : float64 (N,)
+        Of the main bar in the world frame.
+    """
+
+    shape: npt.NDArray[np.str_]
+    length_m: npt.NDArray[np.float64]
+    width_m: npt.NDArray[np.float64]
+    yaw_rad: npt.NDArray[np.float64]
+
+    def first(self, count: int) -> Targets:
+        """The first so many."""
+        return Targets(self.shape[:count], self.length_m[:count], self.width_m[:count], self.yaw_rad[:count])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stratum:
+    """Scenarios that share something.
+
+    Attributes
+    ----------
+    by : {"shape", "length", "width", "yaw"}
+    label : str
+        With units.
+    members : bool (N,)
+    """
+
+    by: str
+    label: str
+    members: npt.NDArray[np.bool_]
+
+
+def targets_of_list(task: str, split: str) -> Targets:
+    """Targets of a frozen list.
+
+    Raises
+    ------
+    InputError, MissingFileError, IntegrityError
+        See ``load_list``.
+    """
+    placements = [scenario.placements[-1] for scenario in load_list(task, split).scenarios]
+    return Targets(
+        np.array([placement.spec.shape.value for placement in placements]),
+        np.array([placement.spec.length_m for placement in placements]),
+        np.array([placement.spec.width_m for placement in placements]),
+        np.array([placement.yaw_rad for placement in placements]),
+    )
+
+
+def targets_of_run(folder: Path) -> Targets:
+    """Targets as the ``episodes.parquet`` of a run has them.
+
+    Raises
+    ------
+    IntegrityError
+        The file cannot be read or lacks a column.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path = folder / "episodes.parquet"
+    names = [f"target_{name}" for name in ("shape", "length_m", "width_m", "yaw_rad")]
+    try:
+        table = pq.read_table(path, columns=names)
+        shape, *numbers = (table[name].to_numpy() for name in names)
+        return Targets(shape.astype(str), *(column.astype(np.float64) for column in numbers))
+    except (pa.ArrowException, KeyError, OSError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        hint = "evaluate the policy again"
+        raise IntegrityError(f"{path} cannot be read: {reason}", hint=hint, path=str(path)) from error
+
+
+def strata(targets: Targets) -> list[Stratum]:
+    """Every stratum that has a scenario: shapes, quartiles of length and width, and eight directions of yaw.
+
+    Quartiles are those of ``targets``: equal for all policies on one list.
+    """
+    return [stratum for stratum in _all(targets) if stratum.members.any()]
+
+
+def _all(targets: Targets) -> Iterator[Stratum]:
+    for shape in Shape:
+        yield Stratum("shape", shape.value, targets.shape == shape.value)
+    yield from _quarters("length", targets.length_m)
+    yield from _quarters("width", targets.width_m)
+    width = 2 * math.pi / YAW_BINS
+    places = np.rint(targets.yaw_rad / width).astype(int) % YAW_BINS
+    for place in range(YAW_BINS):
+        yield Stratum("yaw", f"{place * 360 // YAW_BINS} ± {180 / YAW_BINS:g} deg", places == place)
+
+
+def _quarters(by: str, values_m: npt.NDArray[np.float64]) -> Iterator[Stratum]:
+    edges = np.quantile(values_m, QUARTILES) if len(values_m) else np.zeros(len(QUARTILES))
+    places = np.searchsorted(edges, values_m, side="right")
+    for place in range(len(QUARTILES) + 1):
+        members = places == place
+        if members.any():
+            inside = 1e3 * values_m[members]
+            yield Stratum(by, f"{inside.min():.0f} to {inside.max():.0f} mm", members)

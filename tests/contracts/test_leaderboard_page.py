@@ -1,0 +1,68 @@
+"""The entries that travel with the repository, the README's table that is made of them, and the way onto it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from benchmarks.leaderboard import END, PAGE, START, replace_section, section
+from evaluator.cli.main import VERBS, cli
+from evaluator.entry import encode, find_entries, read_entry
+from evaluator.submission import make_entry
+from rema_data.errors import InputError
+from tests.evaluator.runs import solved, write_manifests, write_run
+
+ENTRIES = Path(__file__).resolve().parents[2] / "manifests" / "leaderboard"
+
+
+def test_every_entry_of_the_repository_is_whole_and_the_only_one_of_its_name() -> None:
+    assert (ENTRIES / "README.md").is_file()
+    found = [read_entry(path).run for path in find_entries()]
+    assert sorted(ENTRIES.glob("*.json")) == [run.source for run in found]
+    names = [f"{run.policy}-{run.task}-{run.protocol}.json" for run in found]
+    assert names == [run.source.name for run in found]
+
+
+def test_the_table_of_the_readme_is_made_from_the_entries() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    if START not in text:
+        pytest.skip("the README has no table yet")
+    assert replace_section(text, section()) == text
+
+
+def test_a_section_has_every_ranked_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_manifests(tmp_path / "manifests")
+    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
+    runs = [
+        write_run(tmp_path / "a", solved(0.5, 1), policy="mine"),
+        write_run(tmp_path / "b", solved(0.9, 2), policy="theirs"),
+        write_run(
+            tmp_path / "c", [solved(0.9, 3), solved(0.5, 4)], policy="mine", task="grasp_push", protocol="end-to-end"
+        ),
+    ]
+    for folder in runs:
+        (tmp_path / "manifests" / "leaderboard" / f"{folder.name}.json").write_bytes(encode(make_entry(folder)))
+    text = section()
+    rows = [line for line in text.splitlines() if line.startswith("| ")]
+    assert [row.split(" | ")[0] for row in rows if "submitted" in row] == ["| theirs", "| mine", "| mine"]
+    assert text.index("**Conditional**") < text.index("**End-to-end**")
+    page = replace_section(f"# Title\n\n{START}\nold\n{END}\n\nrest\n", text)
+    assert "old" not in page and page.endswith(f"{END}\n\nrest\n") and replace_section(page, text) == page
+
+
+def test_a_page_without_markers_is_left_alone() -> None:
+    with pytest.raises(InputError, match="no place"):
+        replace_section("# Title\n", "table")
+
+
+def test_every_command_of_the_guide_exists_with_its_options() -> None:
+    guide = (PAGE.parent / "docs" / "submit.md").read_text(encoding="utf-8")
+    commands = [line.split() for line in guide.splitlines() if line.startswith("rema ")]
+    assert {"evaluate", "report", "submit", "leaderboard"} <= {words[1] for words in commands} <= set(VERBS)
+    for words in commands:
+        shown = CliRunner().invoke(cli, [words[1], "--help"]).stdout
+        for option in re.findall(r"--[a-z-]+", " ".join(words)):
+            assert option in shown, words

@@ -1,0 +1,68 @@
+"""`rema compare`: what a person sees, what a program gets, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from evaluator.cli.main import cli
+from tests.evaluator.runs import EPISODES, solved, write_manifests, write_run
+
+A, B = solved(0.6, 1), solved(0.5, 2)
+
+
+@pytest.fixture
+def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
+    write_manifests(tmp_path / "manifests")
+    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
+    monkeypatch.setenv("COLUMNS", "100")
+    return write_run(tmp_path / "a", A), write_run(tmp_path / "b", B, policy="other")
+
+
+def compare(*arguments: object) -> Result:
+    return CliRunner().invoke(cli, ["compare", *map(str, arguments)], prog_name="rema")
+
+
+def test_the_page(runs: tuple[Path, Path]) -> None:
+    result = compare(*runs)
+    assert result.exit_code == 0, result.stderr
+    text = " ".join(result.stdout.split())
+    assert f"my_policy (submitted): {100 * A.mean():.1f} %" in text and f"{B.sum()}/{EPISODES}" in text
+    assert f"{100 * (A.mean() - B.mean()):+.2f} points [" in text
+    assert f"A solved {(A & B).sum()} {(A & ~B).sum()}" in text and f"A failed {(B & ~A).sum()}" in text
+    assert "exploratory" in text and "0 ± 22.5 deg" in text and "80 % power" in text
+    first = np.flatnonzero(A & ~B)
+    assert f"solved by A alone: {len(first)}: {', '.join(map(str, first[:10]))} and {len(first) - 10} more" in text
+
+
+def test_json_lists_every_discordant_scenario(runs: tuple[Path, Path]) -> None:
+    content = json.loads(compare(*runs, "--json").stdout)
+    assert content["discordant"] == {
+        "only_a": np.flatnonzero(A & ~B).tolist(),
+        "only_b": np.flatnonzero(B & ~A).tolist(),
+    }
+    assert sum(content["table"].values()) == content["n"] == EPISODES
+    low, high = content["difference_ci95"]
+    assert low < content["difference"] < high and 0 <= content["p"] <= 1
+
+
+def test_a_policy_does_not_differ_from_itself(runs: tuple[Path, Path]) -> None:
+    text = " ".join(compare(runs[0], runs[0]).stdout.split())
+    assert "+0.00 points" in text and "p 1.0000" in text and "no difference with 80 % power" in text
+    assert "solved by A alone: none" in text
+
+
+def test_runs_that_do_not_compare(runs: tuple[Path, Path], tmp_path: Path) -> None:
+    push = write_run(tmp_path / "push", A, task="grasp_push")
+    result = compare(runs[0], push)
+    assert result.exit_code == 2 and "task is grasp in" in result.stderr and "grasp_push in" in result.stderr
+    assert compare(runs[0], tmp_path / "none").exit_code == 2
+
+
+def test_another_simulator_is_on_the_page(runs: tuple[Path, Path], tmp_path: Path) -> None:
+    other = write_run(tmp_path / "c", B, identity={"fingerprint": {"pybullet": "3.2.8"}})
+    assert "ANOTHER SIMULATOR" in compare(runs[0], other).stdout
