@@ -22,9 +22,13 @@ from rema_data.errors import MissingFileError, RemaError
 SECTIONS = {
     "sim_throughput": "Speed of the world",
     "full_run": "Whole runs",
+    "report_page": "The page about a run",
+    "isolation": "Isolation of the policy",
     "memory": "Memory",
     "determinism": "Determinism of the world",
     "byte_identity": "Equal bytes of whole runs",
+    "kills": "Killed and resumed runs",
+    "coverage": "Coverage of the statistics",
     "shortcuts": "The geometric shortcut",
     "read": "Training reads",
     "open": "Opening a release",

@@ -19,11 +19,11 @@ from matplotlib.patches import Polygon
 from matplotlib.patheffects import withStroke
 from PIL import Image
 
-from evaluator.preview import EVIDENCE, Played
+from evaluator.preview import EVIDENCE, Played, markers
 from evaluator.sim.observation import SLAB_M, end_effector_states, observe
 from evaluator.sim.parameters import WORLD
 from evaluator.sim.planar import Rect
-from evaluator.sim.studio import Marker, Studio
+from evaluator.sim.studio import Studio
 from rema_data import grid
 from rema_data.schema import HEIGHT_STEP_M, Embodiment, Observation, Primitive
 
@@ -33,9 +33,6 @@ WIDTH, HEIGHT = 1280, 900
 _PHOTO = (636, 477)
 _OVERSAMPLING = 2
 _GREEN, _RED, _INK = "#1a7f37", "#b42318", "#1f2328"
-_AIM = (0.12, 0.12, 0.14, 1.0)
-_LINE = (0.05, 0.62, 0.20, 1.0)
-_SQUARE = (0.66, 0.62, 0.56, 1.0)
 _PIXEL_MM = grid.PIXEL_M * 1000
 
 
@@ -72,35 +69,14 @@ def draw(played: Played, title: str) -> npt.NDArray[np.uint8]:
 def _photographs(played: Played) -> list[npt.NDArray[np.uint8]]:
     studio = Studio(pybullet_data.getDataPath())
     size = _PHOTO[0] * _OVERSAMPLING, _PHOTO[1] * _OVERSAMPLING
+    shown = markers(played.situation, played.action)
     try:
         return [
-            np.asarray(
-                Image.fromarray(studio.photograph(shot, _markers(played), size)).resize(_PHOTO, Image.Resampling.BOX)
-            )
+            np.asarray(Image.fromarray(studio.photograph(shot, shown, size)).resize(_PHOTO, Image.Resampling.BOX))
             for shot in (played.before, played.after)
         ]
     finally:
         studio.close()
-
-
-def _markers(played: Played) -> list[Marker]:
-    """The valid square, the place of the action, and for a push its way and the line to pass."""
-    x, y, yaw = (float(value) for value in grid.to_world(played.action))
-    edge = grid.SCENE_HALF_M - grid.VALID_MARGIN * grid.PIXEL_M
-    thin = 0.0012
-    markers = [Marker(s * edge, 0.0, thin, edge, 0.0, _SQUARE) for s in (-1, 1)]
-    markers += [Marker(0.0, s * edge, edge, thin, 0.0, _SQUARE) for s in (-1, 1)]
-    if played.situation.kind.primitive is Primitive.PUSH:
-        way = WORLD.push_distance_m
-        markers.append(Marker(x + way / 2, y, way / 2, 0.0015, 0.0, _AIM))
-        for turn in (-1, 1):
-            tip = turn * math.radians(150)
-            markers.append(Marker(x + way + 0.014 * math.cos(tip), y + 0.014 * math.sin(tip), 0.015, 0.0015, tip, _AIM))
-        target = played.situation.target
-        markers.append(Marker(target.x_m + WORLD.push_success_m, target.y_m, 0.003, 0.10, 0.0, _LINE))
-    else:
-        markers += [Marker(x, y, 0.016, 0.0012, yaw, _AIM), Marker(x, y, 0.0012, 0.016, yaw, _AIM)]
-    return markers
 
 
 def _after(played: Played) -> str:

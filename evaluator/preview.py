@@ -12,6 +12,7 @@ Needs matplotlib and pillow, which belong to the extra ``report``.
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -23,19 +24,34 @@ from evaluator.sim.parameters import WORLD
 from evaluator.sim.reach import acting_arm, valid_actions
 from evaluator.sim.simulator import Simulator
 from evaluator.sim.staging import hand_poses, held_things, start_height, target_thing
-from evaluator.sim.studio import Shot, shot_of_stage, shot_of_world
+from evaluator.sim.studio import Marker, Shot, shot_of_stage, shot_of_world
 from rema_data import grid
 from rema_data.errors import InputError
-from rema_data.schema import Embodiment, Failure, ObjectSpec, Scenario, Situation, StepOutcome
+from rema_data.schema import Embodiment, Failure, ObjectSpec, Primitive, Scenario, Situation, StepOutcome
 from rema_data.storage import write_atomic
 
 if TYPE_CHECKING:
     from evaluator.policy.loading import PolicySpec
 
-__all__ = ["Played", "asked", "check_action", "find_scenario", "find_step", "play", "write_preview"]
+__all__ = [
+    "EVIDENCE",
+    "Played",
+    "asked",
+    "check_action",
+    "find_scenario",
+    "find_step",
+    "markers",
+    "play",
+    "roles",
+    "waiting_shot",
+    "write_preview",
+]
 
 BEFORE_CLEARANCE_M = 0.09
 """How far above the target hands and tools wait in the picture before the action."""
+_AIM = (0.12, 0.12, 0.14, 1.0)
+_LINE = (0.05, 0.62, 0.20, 1.0)
+_SQUARE = (0.66, 0.62, 0.56, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,9 +198,8 @@ def find_step(scenario: Scenario, protocol: str, answer: Any) -> tuple[Situation
 
 def play(situation: Situation, action: int) -> Played:
     """Carry out a step, and keep what it looked like before and after."""
-    pose = tuple(float(value) for value in grid.to_world(action))
     arm = acting_arm(situation.task, situation.step, action)
-    before = _waiting(situation, (pose[0], pose[1], pose[2]), arm or "left")
+    before = waiting_shot(situation, action)
     if arm is None:
         return Played(situation, action, StepOutcome(False, Failure.UNREACHABLE), before, before)
     simulator = Simulator()
@@ -197,24 +212,47 @@ def play(situation: Situation, action: int) -> Played:
             simulator.run(situation, action)
         after = before
         if outcome.failure is not Failure.UNREACHABLE:
-            after = shot_of_world(simulator.world, _roles(situation))
+            after = shot_of_world(simulator.world, roles(situation))
     finally:
         simulator.close()
     return Played(situation, action, outcome, before, after)
 
 
-def _roles(situation: Situation) -> list[tuple[str, ObjectSpec]]:
-    """Objects of a simulated step, in the order in which the simulator places them."""
-    roles = [("target", situation.target.spec), *(("tool", grip.spec) for grip in situation.grips)]
+def roles(situation: Situation) -> list[tuple[str, ObjectSpec]]:
+    """Objects of a simulated step, in the order in which the simulator places them: for ``shot_of_world``."""
+    found = [("target", situation.target.spec), *(("tool", grip.spec) for grip in situation.grips)]
     if situation.kind.embodiment is Embodiment.PINCHED and situation.pinch is not None:
-        roles.append(("held", situation.pinch.spec))
-    return roles
+        found.append(("held", situation.pinch.spec))
+    return found
 
 
-def _waiting(situation: Situation, pose: tuple[float, float, float], arm: str) -> Shot:
-    hands = hand_poses(situation, pose, start_height(situation, BEFORE_CLEARANCE_M), arm)
-    things = [target_thing(situation), *held_things(situation, hands, pose)]
+def waiting_shot(situation: Situation, action: int) -> Shot:
+    """The picture before an action: what acts waits ``BEFORE_CLEARANCE_M`` above its place."""
+    x, y, yaw = (float(value) for value in grid.to_world(action))
+    arm = acting_arm(situation.task, situation.step, action) or "left"
+    hands = hand_poses(situation, (x, y, yaw), start_height(situation, BEFORE_CLEARANCE_M), arm)
+    things = [target_thing(situation), *held_things(situation, hands, (x, y, yaw))]
     return shot_of_stage(hands, things, situation.kind.embodiment is Embodiment.GRIPPER)
+
+
+def markers(situation: Situation, action: int) -> list[Marker]:
+    """Bars on the table: the valid square, the place of the action, and for a push its way and the line to pass."""
+    x, y, yaw = (float(value) for value in grid.to_world(action))
+    edge = grid.SCENE_HALF_M - grid.VALID_MARGIN * grid.PIXEL_M
+    thin = 0.0012
+    found = [Marker(s * edge, 0.0, thin, edge, 0.0, _SQUARE) for s in (-1, 1)]
+    found += [Marker(0.0, s * edge, edge, thin, 0.0, _SQUARE) for s in (-1, 1)]
+    if situation.kind.primitive is Primitive.PUSH:
+        way = WORLD.push_distance_m
+        found.append(Marker(x + way / 2, y, way / 2, 0.0015, 0.0, _AIM))
+        for turn in (-1, 1):
+            tip = turn * math.radians(150)
+            found.append(Marker(x + way + 0.014 * math.cos(tip), y + 0.014 * math.sin(tip), 0.015, 0.0015, tip, _AIM))
+        target = situation.target
+        found.append(Marker(target.x_m + WORLD.push_success_m, target.y_m, 0.003, 0.10, 0.0, _LINE))
+    else:
+        found += [Marker(x, y, 0.016, 0.0012, yaw, _AIM), Marker(x, y, 0.0012, 0.016, yaw, _AIM)]
+    return found
 
 
 def write_preview(played: Played, path: Path, title: str, colours: int | None = None) -> None:

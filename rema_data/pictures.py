@@ -25,7 +25,16 @@ from rema_data.storage import write_atomic
 if TYPE_CHECKING:
     from PIL import Image, ImageDraw
 
-__all__ = ["SUFFIXES", "contact_sheet", "describe", "outcome_text", "tile", "write_pictures"]
+__all__ = [
+    "LEGEND",
+    "SUFFIXES",
+    "contact_sheet",
+    "describe",
+    "outcome_text",
+    "scene_map",
+    "tile",
+    "write_pictures",
+]
 
 SUFFIXES = (".png", ".html")
 Pixels = npt.NDArray[np.float32]
@@ -85,7 +94,7 @@ def tile(step: GalleryStep) -> Image.Image:
     image_module, draw_module = _pillow()
     row = step.row
     image: Image.Image = image_module.new("RGB", _TILE, _PAPER)
-    image.paste(_scene(step), (_MARGIN, _HEAD))
+    image.paste(scene_map(step), (_MARGIN, _HEAD))
     for state in range(2):
         panel = _end_effector(step.observation, state)
         image.paste(panel, (_MARGIN + _SCENE + _GAP, _HEAD + state * (_HAND + _GAP)))
@@ -166,8 +175,19 @@ def _pillow() -> tuple[Any, Any]:
     return Image, ImageDraw
 
 
-def _scene(step: GalleryStep) -> Image.Image:
-    """The scene map, x to the right and y up, with the end effector at the place of the action."""
+def scene_map(step: GalleryStep) -> Image.Image:
+    """The scene map, 256 pixels wide, x to the right and y up, with the end effector at the place of the action.
+
+    Parameters
+    ----------
+    step : GalleryStep
+        Of its row, ``x_m``, ``y_m``, ``theta_rad`` and ``primitive`` are used.
+
+    Raises
+    ------
+    InputError
+        pillow is not installed.
+    """
     image_module, draw_module = _pillow()
     size = _SCENE * _FINE
     step_m = 2 * grid.SCENE_HALF_M / size
@@ -277,13 +297,14 @@ def _write(
     draw.text(place, text, fill=colour, font=ImageFont.load_default(size), anchor=anchor)
 
 
-_LEGEND: tuple[tuple[Colour, str], ...] = (
+LEGEND: tuple[tuple[Colour, str], ...] = (
     (_ORANGE, "the action: place and yaw"),
     (_INK, "the way of a push"),
     (_BLUE, "may touch the target"),
     (_GREY, "may not"),
     (_OBJECT, "the target; darker is higher"),
 )
+"""Colours of a scene map (red, green, blue), and what they mean."""
 
 
 def _legend(draw: ImageDraw.ImageDraw, place: tuple[float, float]) -> None:
@@ -291,7 +312,7 @@ def _legend(draw: ImageDraw.ImageDraw, place: tuple[float, float]) -> None:
 
     x, y = place
     font = ImageFont.load_default(11)
-    for colour, text in _LEGEND:
+    for colour, text in LEGEND:
         draw.rectangle((x, y, x + 11, y + 11), fill=colour)
         draw.text((x + 17, y - 1), text, fill=_INK, font=font)
         x += 40 + draw.textlength(text, font=font)
@@ -311,7 +332,7 @@ def _page(steps: Iterable[GalleryStep], title: str) -> str:
         words = html.escape(", ".join((*describe(step.row)[:2], outcome_text(step.row))))
         size = f'width="{_TILE[0]}" height="{_TILE[1]}"'
         figures.append(f'<img {size} alt="{words}" title="{words}" src="data:image/png;base64,{data}">')
-    keys = " ".join(f'<i style="background:rgb{colour}"></i>{html.escape(text)}' for colour, text in _LEGEND)
+    keys = " ".join(f'<i style="background:rgb{colour}"></i>{html.escape(text)}' for colour, text in LEGEND)
     style = (
         f"body{{font:15px system-ui,sans-serif;background:rgb{_PAGE};color:rgb{_INK};margin:24px}}"
         "main{display:flex;flex-wrap:wrap;gap:12px}h1{font-size:20px}p{font-size:13px}"

@@ -70,6 +70,17 @@ def test_memory(tmp_path: Path) -> None:
     assert content["numbers"]["two_workers_mb"] > 0
 
 
+def test_isolation_is_measured(tmp_path: Path) -> None:
+    content = measured(tmp_path, "isolation", "--episodes", "64", "--distinct", "16", "--repeats", "1")
+    assert content["targets"]
+
+
+def test_a_page_is_written_and_measured(tmp_path: Path) -> None:
+    words = ("--task", "push", "--episodes", "20", "--per-label", "0", "--repeats", "1")
+    content = measured(tmp_path, "report_page", *words)
+    assert content["targets"][0]["reached"] and content["numbers"]["bytes"] > 10_000
+
+
 def test_no_results_are_an_answer_and_no_traceback(tmp_path: Path) -> None:
     done = run("report", "--results", str(tmp_path), "--output", str(tmp_path / "page.md"))
     assert done.returncode == 2

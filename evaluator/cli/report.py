@@ -1,0 +1,72 @@
+"""``rema report``: one page about a run."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+__all__ = ["report"]
+
+_MEGABYTE = 1_000_000
+
+
+@click.command()
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--output", type=click.Path(path_type=Path), help="HTML file.  [default: report.html in the run folder]")
+@click.option(
+    "--per-label", type=click.IntRange(0, 50), default=3, show_default=True, help="Episodes shown of every label."
+)
+@click.option("--policy", metavar="POLICY", help="The run's policy: adds its score maps and its calibration.")
+@click.option("--checkpoint", type=click.Path(path_type=Path), help="Weights of --policy, as for `rema evaluate`.")
+@click.option("--device", default="cpu", show_default=True, help="Handed to the policy, such as cuda:0.")
+@click.option("--scored", type=click.IntRange(0, 10_000), default=200, show_default=True, help="Episodes to calibrate.")
+@click.option("--limit-mb", type=click.FloatRange(min=0.5), default=15.0, show_default=True, help="Size of the page.")
+@click.option("--json", "as_json", is_flag=True, help="Print one object.")
+def report(
+    run: Path,
+    output: Path | None,
+    per_label: int,
+    policy: str | None,
+    checkpoint: Path | None,
+    device: str,
+    scored: int,
+    limit_mb: float,
+    as_json: bool,
+) -> None:
+    """Write one self-contained HTML page about RUN (a run folder of `rema evaluate`).
+
+    It has the rate, the failures, success by group and by place, some episodes of every label with pictures and short
+    animations, timings and provenance. The episodes are played again from their recorded actions, which needs no
+    policy. With --policy the page also has the policy's score maps, if it can give them.
+    """
+    # Imported here, so that a mistyped option is answered at once.
+    from evaluator.cli.progress import StderrProgress
+    from evaluator.policy.loading import check_checkpoint, resolve
+    from evaluator.policy.shipped import shipped_checkpoint
+    from evaluator.report import ReportOptions, write_report
+    from rema_data.errors import InputError
+
+    if checkpoint is not None and policy is None:
+        raise InputError("--checkpoint belongs to a policy", hint="name it with --policy, or drop --checkpoint")
+    spec = None if policy is None else resolve(policy)
+    weights = None if spec is None else check_checkpoint(checkpoint) or shipped_checkpoint(spec.name)
+    options = ReportOptions(per_label, int(limit_mb * _MEGABYTE), spec, weights, device, scored)
+    with StderrProgress() as progress:
+        written = write_report(run, output, options, progress)
+    if as_json:
+        answer = {
+            "file": str(written.path),
+            "bytes": written.size,
+            "episodes_shown": written.shown,
+            "played_again": dict(written.agreement),
+            "episodes_scored": written.scored,
+            "pictures_left_out": written.left_out,
+        }
+        click.echo(json.dumps(answer))
+        return
+    click.echo(f"{written.path}: {written.size / _MEGABYTE:.1f} MB, {written.shown} episodes")
+    different = written.agreement.get("different", 0)
+    if different:
+        click.echo(f"{different} of them ended differently when they were played again; the page says which", err=True)

@@ -1,0 +1,261 @@
+"""What the page says about a run besides its pictures: remarks, failures, funnel, timings, provenance, in words."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from evaluator.protocol import protocol, protocol_hash
+from evaluator.report.breakdown import Group
+from evaluator.report.finished import FinishedRun
+from evaluator.runner.summary import PHASES
+from evaluator.statistics import clopper_pearson, format_rate, percent, rate_interval
+from rema_data.schema import TASKS
+
+__all__ = [
+    "Fault",
+    "Phase",
+    "StepTimes",
+    "StepTotal",
+    "Timings",
+    "criteria",
+    "failures",
+    "faults",
+    "funnel",
+    "provenance",
+    "remarks",
+    "segments",
+    "step_name",
+    "timings",
+]
+
+_SEGMENT_COLUMNS = ("part", "began", "episodes", "engine", "workers", "seconds", "processor", "versions", "commit")
+_UNKNOWN = "not recorded"
+
+
+def step_name(task: str, step: int) -> str:
+    """``2: grasp with the gripper``, counted from 1."""
+    kind = TASKS[task][step]
+    acting = {"gripper": "the gripper", "tool": "a tool", "sticks": "two sticks", "pinched": "a pinched object"}
+    return f"{step + 1}: {kind.primitive.value} with {acting[kind.embodiment.value]}"
+
+
+def remarks(run: FinishedRun) -> list[str]:
+    """Sentences without which the rate could be misread."""
+    summary, found = run.summary, []
+    eligible, successes = summary["eligible"], summary["successes"]
+    if run.tag == "privileged":
+        found.append("The policy is privileged: it is shown the true poses and shapes.")
+    if eligible and successes in (0, eligible):
+        _, bound = clopper_pearson(0, eligible)
+        word = "failed" if successes else "succeeded"
+        found.append(
+            f"No episode {word}. That does not show that none ever will: the 95 % Clopper-Pearson interval of "
+            f"the rate at which they do ends at {percent(bound)} %."
+        )
+    if summary["policy_errors"]:
+        found.append(
+            f"{summary['policy_errors']:,} answers of the policy were faults: they count as failures of their episodes."
+        )
+    if summary["infra_errors"]:
+        low, high = summary["success_rate_bounds"]
+        found.append(
+            f"{summary['infra_errors']:,} episodes were lost to the infrastructure and are in no rate. Whatever they "
+            f"were, the rate is between {percent(low)} and {percent(high)} %."
+        )
+    missing = summary["episodes"] - eligible - summary["infra_errors"]
+    if missing:
+        found.append(
+            f"{missing:,} episodes are not eligible: they were not measured, or their scenario has no tools for this "
+            "protocol."
+        )
+    if summary["nondeterministic"]:
+        found.append(
+            f"{summary['nondeterministic']:,} steps were simulated twice with different outcomes: do not use these "
+            "numbers."
+        )
+    if summary.get("stopped_early"):
+        found.append("The run was stopped early, after looking at its rate: the interval does not hold for it.")
+    audit = summary.get("audit")
+    if audit:
+        found.append(
+            f"{audit['episodes']:,} episodes were done a second time: {audit['action_flips']:,} of "
+            f"{audit['actions']:,} actions and {audit['outcome_flips']:,} of {audit['outcomes']:,} outcomes came out "
+            "otherwise."
+        )
+    parts = run.header["segments"]
+    if any(part.get("dirty") for part in parts):
+        found.append("The code was changed against its commit while this was computed.")
+    if len({str((part.get("machine"), part.get("versions"))) for part in parts}) > 1:
+        found.append("The run was computed in parts on different machines or with different versions: see provenance.")
+    return found
+
+
+def failures(run: FinishedRun) -> list[Group]:
+    """Failure labels, the commonest first; ``successes`` counts the episodes that failed so."""
+    eligible = run.summary["eligible"]
+    counts = sorted(run.summary["failures"].items(), key=lambda item: (-item[1], item[0]))
+    return [Group(label, eligible, count, *rate_interval(count, eligible)) for label, count in counts]
+
+
+@dataclass(frozen=True, slots=True)
+class StepTotal:
+    """How many episodes reached and passed a step, and the share in words."""
+
+    name: str
+    attempted: int
+    succeeded: int
+    rate: float
+    text: str
+
+
+def funnel(run: FinishedRun) -> list[StepTotal]:
+    """The steps of an end-to-end run of several steps; nothing for other runs."""
+    steps = run.summary["funnel"]
+    if len(steps) < 2:
+        return []
+    return [
+        StepTotal(
+            step_name(run.task, step["step"]),
+            step["attempted"],
+            step["succeeded"],
+            step["succeeded"] / max(1, step["attempted"]),
+            format_rate(step["succeeded"], step["attempted"]),
+        )
+        for step in steps
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A kind of wrong answer: how often, and the words of one."""
+
+    reason: str
+    count: int
+    example: str
+
+
+def faults(run: FinishedRun) -> list[Fault]:
+    """What the policy did instead of answering, the commonest first."""
+    rows = run.faults()
+    counts = Counter(str(row["reason"]) for row in rows)
+    examples = {str(row["reason"]): str(row["detail"] or "") for row in reversed(rows)}
+    return [Fault(reason, count, examples[reason]) for reason, count in counts.most_common()]
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """A part of the wall time; ``start`` and ``share`` are shares of the whole."""
+
+    name: str
+    text: str
+    start: float
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
+class StepTimes:
+    """Seconds of the simulator in one step, ready to print."""
+
+    name: str
+    cells: Sequence[str]
+
+
+@dataclass(frozen=True, slots=True)
+class Timings:
+    """How long a run took, in one sentence, by phase, and by step."""
+
+    text: str
+    phases: Sequence[Phase]
+    steps: Sequence[StepTimes]
+
+
+def timings(run: FinishedRun) -> Timings:
+    """Wall time by phase, and the simulator's time by step."""
+    seconds, speed = run.summary["seconds"], run.summary["episodes_per_second"]
+    total = seconds["total"]
+    text = "The parts of this run that ended in an orderly way recorded no time."
+    phases = []
+    if total:
+        workers = ", ".join(str(count) for count in sorted({part.get("workers", 1) for part in run.header["segments"]}))
+        text = f"{_time(total)} in all, {speed:,.1f} episodes a second, workers: {workers}."
+        named = {name: seconds.get(name, 0.0) for name in PHASES if name != "total"}
+        named["other"] = max(0.0, total - sum(named.values()))
+        whole, start = sum(named.values()), 0.0
+        for name, value in named.items():
+            if not value:
+                continue
+            phases.append(Phase(name, _time(value), start, value / whole))
+            start += value / whole
+    steps = []
+    for step in sorted({row["step"] for row in run.timings}):
+        rows = [row for row in run.timings if row["step"] == step]
+        values = np.array([row["seconds"] for row in rows])
+        spans = [*np.quantile(values, (0.5, 0.95)), values.max()]
+        cells = [f"{len(rows):,}", *(f"{span:.3f}" for span in spans), _time(float(values.sum()))]
+        cells += [str(len({row["worker"] for row in rows})), str(sum(row["attempt"] > 1 for row in rows))]
+        steps.append(StepTimes(step_name(run.task, step), cells))
+    return Timings(text, phases, steps)
+
+
+def _time(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.1f} s"
+    minutes = seconds / 60
+    return f"{minutes:.1f} min" if minutes < 120 else f"{minutes / 60:.1f} h"
+
+
+def provenance(run: FinishedRun) -> list[tuple[str, str]]:
+    """Everything that identifies the run."""
+    policy, summary = run.header["policy"], run.summary
+    print_ = summary["fingerprint"]
+    mark = (
+        ", ".join(f"{name} {value}" for name, value in print_.items()) if isinstance(print_, Mapping) else str(print_)
+    )
+    return [
+        ("policy", f"{summary['policy']} ({policy.get('file', _UNKNOWN)}, class {policy.get('class_name', _UNKNOWN)})"),
+        ("policy digest", str(summary["policy_digest"])),
+        ("task, split, protocol", f"{run.task}, {summary['split']}, {summary['protocol']}"),
+        ("protocol hash", str(summary["protocol_hash"])),
+        ("scenario list", f"{run.episodes[0]['scenario'].rpartition('/')[0]}, first {summary['episodes']:,}"),
+        ("scenarios hash", str(summary["scenarios_hash"])),
+        ("simulator", mark),
+        ("episodes.parquet", f"sha256 {run.digest}"),
+        *([("root over the episodes", str(summary["merkle_root"]))] if "merkle_root" in summary else []),
+    ]
+
+
+def segments(run: FinishedRun) -> Mapping[str, Any]:
+    """The processes that computed the run: names of the columns, and a row each."""
+    rows = []
+    for part in run.header["segments"]:
+        machine, versions, seconds = (part.get(name) or {} for name in ("machine", "versions", "seconds"))
+        commit = str(part.get("commit") or _UNKNOWN)[:12] + (", changed" if part.get("dirty") else "")
+        rows.append(
+            [
+                str(part.get("number", "")),
+                str(part.get("started", _UNKNOWN)).replace("T", " "),
+                f"{part['finished']:,}" if "finished" in part else "stopped",
+                str(part.get("engine", _UNKNOWN)),
+                str(part.get("workers", _UNKNOWN)),
+                _time(seconds["total"]) if "total" in seconds else _UNKNOWN,
+                f"{machine.get('processor', _UNKNOWN)}, {machine.get('cores', '?')} cores, "
+                f"{machine.get('system', '')} {machine.get('architecture', '')}",
+                ", ".join(f"{name} {number}" for name, number in versions.items()),
+                commit,
+            ]
+        )
+    return {"names": _SEGMENT_COLUMNS, "rows": rows}
+
+
+def criteria(run: FinishedRun) -> list[str]:
+    """What counted as success, step by step; nothing where this installation judges by another protocol."""
+    name = run.summary["protocol"]
+    if protocol_hash(run.task, name) != run.summary["protocol_hash"]:
+        return []
+    steps = protocol(run.task, name)["steps"]
+    return [f"{step_name(run.task, number).partition(': ')[2]}: {steps[number]['success']}" for number in run.steps]

@@ -1,0 +1,225 @@
+"""The cards of the gallery: one an episode, with pictures, maps, the action and the evidence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from evaluator.preview import EVIDENCE
+from evaluator.report.film import FilmMaker, Take, agreement
+from evaluator.report.finished import FinishedRun, Row
+from evaluator.report.images import Photographer, Photographs, draw_action, draw_scores
+from evaluator.report.scores import Scored
+from evaluator.report.selection import Chosen
+from evaluator.runner.config import ProgressSink
+from evaluator.sim.observation import observe
+from rema_data import grid
+from rema_data.schema import TASKS, Embodiment, Failure, Primitive, Scenario
+
+__all__ = ["MARKUP", "MEANING", "Card", "fit", "make_cards", "with_scores"]
+
+MARKUP = 700
+"""Bytes of the elements around a picture, at most."""
+MEANING: dict[str, str] = {label.value: text for label, text in EVIDENCE.items()}
+MEANING[Failure.POLICY_ERROR.value] = "the policy raised, took too long, or answered with something that is no action"
+_TOUCHING = {
+    Embodiment.GRIPPER: "the fingers",
+    Embodiment.TOOL: "the held tool (blue)",
+    Embodiment.STICKS: "the two sticks (blue)",
+    Embodiment.PINCHED: "the pinched object (purple)",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Card:
+    """An episode to look at.
+
+    Attributes
+    ----------
+    label, rank
+        As in ``Chosen``.
+    scenario : str
+    step : str
+        Which step is shown, in words.
+    facts : sequence of (name, value)
+    take : Take or None
+        None where nothing could be played again.
+    photographs : Photographs or None
+    action_map, score_map : str or None
+        ``data:`` addresses.
+    agreement : str
+        Of this machine with the record; see ``film.agreement``. Empty where nothing was played again.
+    again : str
+        How the step ended this time.
+    left_out : sequence of str
+        Pictures that there was no room for.
+    """
+
+    label: str
+    rank: int
+    scenario: str
+    step: str
+    facts: Sequence[tuple[str, str]]
+    take: Take | None = None
+    photographs: Photographs | None = None
+    action_map: str | None = None
+    score_map: str | None = None
+    agreement: str = ""
+    again: str = ""
+    left_out: Sequence[str] = field(default=())
+
+
+def make_cards(
+    run: FinishedRun, scenarios: Sequence[Scenario], chosen: Sequence[Chosen], progress: ProgressSink
+) -> list[Card]:
+    """Play the chosen episodes again and picture them.
+
+    Parameters
+    ----------
+    run : FinishedRun
+    scenarios : sequence of Scenario
+        The list of the run.
+    chosen : sequence of Chosen
+    progress : ProgressSink
+    """
+    progress.phase("play again", len(chosen))
+    faults = {fault["index"]: fault for fault in run.faults()}
+    cards = []
+    with FilmMaker() as films, Photographer() as photographer:
+        for one in chosen:
+            if one.label == Failure.POLICY_ERROR:
+                cards.append(_speechless(run, one, faults.get(one.row["index"], {})))
+            else:
+                take = films.play(run, scenarios[one.row["index"]], one.row)
+                cards.append(_card(run, one, take, photographer.photograph(take)))
+            progress.advance(1)
+    return cards
+
+
+def _card(run: FinishedRun, one: Chosen, take: Take, photographs: Photographs) -> Card:
+    again = "success" if take.outcome.failure is None else str(take.outcome.failure.value).replace("_", " ")
+    return Card(
+        one.label,
+        one.rank,
+        one.row["scenario"],
+        _step_text(run, take.situation.step),
+        _facts(one.row, take),
+        take,
+        photographs,
+        draw_action(observe(take.situation), take.action, take.situation.kind.primitive.value),
+        None,
+        agreement(one.row, take),
+        again,
+    )
+
+
+def _speechless(run: FinishedRun, one: Chosen, fault: Mapping[str, str]) -> Card:
+    """The card of an episode in which the policy gave no action."""
+    step = run.steps[-1] if one.row["failed_step"] is None else one.row["failed_step"]
+    facts = [("what happened", str(fault.get("reason", "no action")).replace("_", " "))]
+    if fault.get("detail"):
+        facts.append(("its words", str(fault["detail"])))
+    return Card(one.label, one.rank, one.row["scenario"], _step_text(run, step), facts)
+
+
+def _step_text(run: FinishedRun, step: int) -> str:
+    kinds = TASKS[run.task]
+    number = f"step {step + 1} of {len(kinds)}: " if len(kinds) > 1 else ""
+    return f"{number}{kinds[step].primitive.value}"
+
+
+def _facts(row: Row, take: Take) -> list[tuple[str, str]]:
+    """What was done and what was recorded of it."""
+    situation, kind = take.situation, take.situation.kind
+    spec, step = situation.target.spec, situation.step
+    i, j, k = (int(value) for value in grid.decode(take.action))
+    x, y, yaw = (float(value) for value in grid.to_world(take.action))
+    arm = row[f"step{step}_arm"]
+    across = f", second bar {spec.arm_m * 100:.1f} cm" if spec.arm_m else ""
+    facts = [
+        ("target (red)", f"{spec.shape.value}, {spec.length_m * 100:.1f} x {spec.width_m * 100:.1f} cm{across}"),
+        ("may touch it", _TOUCHING[kind.embodiment]),
+        (
+            "action",
+            f"i {i}, j {j}, k {k}: x {x * 1000:+.0f} mm, y {y * 1000:+.0f} mm, {math.degrees(yaw):g} deg",
+        ),
+    ]
+    if arm in ("left", "right", "both"):
+        facts.append(("acting", "both arms" if arm == "both" else f"{arm} arm"))
+    label = row[f"step{step}_failure"]
+    if label in MEANING:
+        facts.append(("why it failed", MEANING[label]))
+    facts.append(("recorded", _evidence(row, step, kind.primitive)))
+    return facts
+
+
+def _evidence(row: Row, step: int, primitive: Primitive) -> str:
+    moved, lifted, force, steps = (
+        row[f"step{step}_{name}"] or 0 for name in ("displacement_m", "lift_m", "peak_force_n", "sim_steps")
+    )
+    if not steps:
+        return "not simulated: nothing could touch the target, or no arm could move there"
+    moved = round(moved * 100, 1) + 0.0  # no minus before a zero
+    main = f"moved {moved:+.1f} cm in x" if primitive is Primitive.PUSH else f"lifted {lifted * 100:.1f} cm"
+    parts = [main] + ([f"{force:.0f} N at most in the descent"] if force >= 0.5 else [])
+    return ", ".join([*parts, f"{steps} simulation steps"])
+
+
+def with_scores(card: Card, scored: Scored) -> Card:
+    """The card with what the policy thought of the place."""
+    assert card.take is not None
+    words = f"{scored.chosen:.3f} for the chosen action, {np.nanmax(scored.best):.3f} is the highest of the map"
+    return replace(
+        card, score_map=draw_scores(scored.best, card.take.action), facts=[*card.facts, ("the policy's score", words)]
+    )
+
+
+def fit(cards: Sequence[Card], room: int) -> list[Card]:
+    """The cards with as many pictures as there is room for.
+
+    Photographs come before maps and maps before animations, and the first cards of every label before the second ones.
+
+    Parameters
+    ----------
+    cards : sequence of Card
+    room : int
+        Bytes of all ``data:`` addresses together, with ``MARKUP`` for each.
+    """
+    wanted: list[tuple[int, int, int, str, int]] = []
+    for position, card in enumerate(cards):
+        for order, name, size in _sizes(card):
+            wanted.append((order, card.rank, position, name, size))
+    kept: set[tuple[int, str]] = set()
+    for _, _, position, name, size in sorted(wanted):
+        if size + MARKUP <= room:
+            room -= size + MARKUP
+            kept.add((position, name))
+    return [_keep(card, [name for _, name, _ in _sizes(card) if (n, name) in kept]) for n, card in enumerate(cards)]
+
+
+def _sizes(card: Card) -> Iterable[tuple[int, str, int]]:
+    """Priority, name and bytes of every picture of a card."""
+    photographs = card.photographs
+    if photographs is not None:
+        yield 0, "photographs", len(photographs.before) + len(photographs.after or "")
+        if photographs.film is not None:
+            yield 2, "animation", len(photographs.film)
+    for name, picture in (("map of the action", card.action_map), ("map of the scores", card.score_map)):
+        if picture is not None:
+            yield 1, name, len(picture)
+
+
+def _keep(card: Card, names: Sequence[str]) -> Card:
+    photographs = card.photographs if "photographs" in names else None
+    if photographs is not None and "animation" not in names:
+        photographs = replace(photographs, film=None)
+    return replace(
+        card,
+        photographs=photographs,
+        action_map=card.action_map if "map of the action" in names else None,
+        score_map=card.score_map if "map of the scores" in names else None,
+        left_out=[name for _, name, _ in _sizes(card) if name not in names],
+    )

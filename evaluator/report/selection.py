@@ -1,0 +1,55 @@
+"""Which episodes are shown: some successes and some of every failure, always the same ones of the same run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from evaluator.report.finished import FinishedRun, Row
+
+__all__ = ["SUCCESS", "Chosen", "choose", "spread"]
+
+SUCCESS = "success"
+"""Stands among the failure labels for the episodes that succeeded."""
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """An episode of the gallery.
+
+    Attributes
+    ----------
+    label : str
+        ``success``, or the failure label.
+    rank : int
+        Position among the chosen ones of its label, from 0.
+    row : mapping
+        Of ``episodes.parquet``.
+    """
+
+    label: str
+    rank: int
+    row: Row
+
+
+def choose(run: FinishedRun, per_label: int) -> list[Chosen]:
+    """``per_label`` episodes of every label, spread over the list; successes first, then the commonest failure.
+
+    Parameters
+    ----------
+    run : FinishedRun
+    per_label : int
+        At most so many of a label; 0 for none.
+    """
+    by_label: dict[str, list[Row]] = {SUCCESS: []}
+    for row in run.measured:
+        by_label.setdefault(SUCCESS if row["success"] else row["failure"], []).append(row)
+    order = sorted(by_label, key=lambda label: (label != SUCCESS, -len(by_label[label]), label))
+    return [Chosen(label, rank, row) for label in order for rank, row in enumerate(spread(by_label[label], per_label))]
+
+
+def spread(rows: Sequence[Row], count: int) -> list[Row]:
+    """``count`` rows at even distances, or all where there are no more."""
+    if count >= len(rows):
+        return list(rows)
+    return [rows[(2 * number + 1) * len(rows) // (2 * count)] for number in range(count)]

@@ -1,0 +1,285 @@
+"""From a run folder to a page: reads, plays some episodes again, asks the policy where it was named, and writes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from evaluator.protocol import protocol_hash
+from evaluator.report import content
+from evaluator.report.breakdown import breakdowns, place_map
+from evaluator.report.finished import FinishedRun, Row, read_finished
+from evaluator.report.selection import Chosen, choose
+from evaluator.runner.config import ProgressSink, Silent
+from evaluator.scenarios import ScenarioList, load_list
+from evaluator.statistics import percent
+from rema_data.errors import InputError, RemaError
+from rema_data.storage import write_atomic
+
+if TYPE_CHECKING:
+    from evaluator.policy.loading import PolicySpec
+    from evaluator.report.gallery import Card
+    from evaluator.report.scores import Bin
+
+__all__ = ["PAGE_NAME", "ReportOptions", "WrittenReport", "write_report"]
+
+PAGE_NAME = "report.html"
+_SECTIONS = {
+    "result": "Result",
+    "failures": "Failures",
+    "groups": "Groups",
+    "place": "Place",
+    "gallery": "Episodes",
+    "scores": "Scores",
+    "timings": "Timings",
+    "provenance": "Provenance",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ReportOptions:
+    """What goes into a page.
+
+    Attributes
+    ----------
+    per_label : int
+        Episodes of the gallery of every label, at most; 0 for no gallery.
+    limit_bytes : int
+        Of the page: pictures are left out, animations first, where it would be larger.
+    policy : PolicySpec or None
+        The policy of the run, to be asked for its scores.
+    checkpoint : Path or None
+        Its weights.
+    device : str
+        Handed to the policy.
+    scored : int
+        Episodes whose scores are compared with their outcomes.
+    """
+
+    per_label: int = 3
+    limit_bytes: int = 15_000_000
+    policy: PolicySpec | None = None
+    checkpoint: Path | None = None
+    device: str = "cpu"
+    scored: int = 200
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenReport:
+    """A page on the disk.
+
+    Attributes
+    ----------
+    path : Path
+    size : int
+        Bytes.
+    shown : int
+        Episodes of the gallery.
+    agreement : mapping of str to int
+        Of the episodes that were played again: how many were ``identical``, ended with the ``same label``, or were
+        ``different``.
+    scored : int
+        Episodes in the calibration.
+    left_out : int
+        Pictures that there was no room for.
+    """
+
+    path: Path
+    size: int
+    shown: int
+    agreement: Mapping[str, int]
+    scored: int
+    left_out: int
+
+
+def write_report(
+    run: Path, output: Path | None = None, options: ReportOptions | None = None, progress: ProgressSink | None = None
+) -> WrittenReport:
+    """Write the page of a finished run.
+
+    The same run gives the same bytes on the same installation.
+
+    Parameters
+    ----------
+    run : Path
+        Run folder of ``rema evaluate``.
+    output : Path, optional
+        ``report.html`` in the run folder by default.
+    options : ReportOptions, optional
+    progress : ProgressSink, optional
+
+    Raises
+    ------
+    MissingFileError
+        There is no such run, it did not finish, or weights are not there.
+    InputError, IntegrityError
+        A file of the run cannot be read or contradicts another; the extra ``report`` is not installed.
+    RunMismatchError
+        The policy that was named is not the one of the run.
+    SubmissionError
+        The policy gives no maps.
+    StorageError
+        The page cannot be written.
+    """
+    options, progress = options or ReportOptions(), progress or Silent()
+    finished = read_finished(run)
+    try:
+        from evaluator.report.gallery import MEANING, fit
+        from evaluator.report.images import FILM, MAP_PIXELS, PHOTO
+        from evaluator.report.page import render
+    except ImportError as error:
+        raise InputError(
+            f"reports need {error.name}, which is not installed", hint='pip install "rema[report]"'
+        ) from error
+    pictures = _pictures(finished, options, progress)
+    said = {
+        **_words(finished),
+        **pictures.words(),
+        "meaning": MEANING,
+        "photo": PHOTO,
+        "film": FILM,
+        "map": MAP_PIXELS,
+    }
+    bare = len(render({**said, "cards": fit(pictures.cards, 0)}).encode())
+    cards = fit(pictures.cards, options.limit_bytes - bare)
+    page = render({**said, "cards": cards}).encode()
+    path = output or run / PAGE_NAME
+    write_atomic(path, page)
+    agreement = Counter(card.agreement for card in cards if card.agreement)
+    left_out = sum(len(card.left_out) for card in cards)
+    return WrittenReport(path, len(page), len(cards), dict(agreement), pictures.scored, left_out)
+
+
+def _words(run: FinishedRun) -> dict[str, Any]:
+    """Everything on the page that comes from the run's own tables."""
+    summary, place = run.summary, place_map(run)
+    lost = Counter(row["infra_error"] for row in run.episodes if row["infra_error"] is not None)
+    many = (
+        "There are many rows: a few of them look unusual by chance alone. The dashed line is the rate of all episodes "
+        "of a table."
+    )
+    if run.end_to_end and len(run.steps) > 1:
+        many = (
+            "Properties of the target are about the episodes that reached the last step, those of tools about all of "
+            f"them. {many}"
+        )
+    sections = [(key, name) for key, name in _SECTIONS.items() if key != "place" or place is not None]
+    rate = "no rate" if summary["success_rate"] is None else percent(summary["success_rate"]) + " %"
+    return {
+        "title": f"{summary['policy']} on {run.task}: {rate}",
+        "summary": summary,
+        "tag": run.tag,
+        "sections": sections,
+        "remarks": content.remarks(run),
+        "funnel": content.funnel(run),
+        "failures": content.failures(run),
+        "faults": content.faults(run),
+        "lost": sorted(lost.items(), key=lambda item: (-item[1], item[0])),
+        "breakdowns": breakdowns(run),
+        "groups_note": many,
+        "place": place,
+        "timings": content.timings(run),
+        "provenance": content.provenance(run),
+        "segments": content.segments(run),
+        "criteria": content.criteria(run),
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class _Pictures:
+    """The gallery and the calibration, or why there is none."""
+
+    run: FinishedRun
+    cards: Sequence[Card]
+    reason: str
+    bins: Sequence[Bin]
+    scores_note: str
+    scored: int
+    per_label: int
+
+    def words(self) -> dict[str, Any]:
+        from rema_data.pictures import LEGEND
+
+        totals = {"success": self.run.summary["successes"], **self.run.summary["failures"]}
+        shown = Counter(card.label for card in self.cards)
+        return {
+            "gallery_reason": self.reason,
+            "gallery_note": self._note(),
+            "labels": [(label, count, totals.get(label, count)) for label, count in shown.items()],
+            "legend": [("#{:02x}{:02x}{:02x}".format(*colour), text) for colour, text in LEGEND],
+            "animated": any(card.photographs and card.photographs.film for card in self.cards),
+            "bins": self.bins,
+            "scores_note": self.scores_note,
+        }
+
+    def _note(self) -> str:
+        seen = Counter(card.agreement for card in self.cards if card.agreement)
+        note = (
+            f"Up to {self.per_label} of every label, spread over the list, played again from the recorded actions "
+            f"where this page was made: of {seen.total()}, {seen['identical']} were the same to the last digit"
+        )
+        if seen["same label"]:
+            note += f", {seen['same label']} ended the same way with other measurements"
+        note += f", and {seen['different']} ended differently."
+        if protocol_hash(self.run.task, self.run.summary["protocol"]) != self.run.summary["protocol_hash"]:
+            note += " This installation judges by another protocol than the run: expect differences."
+        return note
+
+
+def _pictures(run: FinishedRun, options: ReportOptions, progress: ProgressSink) -> _Pictures:
+    from evaluator.report.gallery import make_cards, with_scores
+    from evaluator.report.scores import ask_scores, calibration, check_policy, scored_episodes, situation_of
+
+    if options.policy is not None:
+        check_policy(run, options.policy, options.checkpoint)
+    try:
+        scenarios = _scenarios(run)
+    except RemaError as error:
+        reason = f"Episodes cannot be played again here: {error.message}."
+        return _Pictures(run, (), reason, (), reason, 0, options.per_label)
+    chosen: Sequence[Chosen] = choose(run, options.per_label)
+    cards = make_cards(run, scenarios.scenarios, chosen, progress) if chosen else []
+    reason = "" if chosen else "No episode is shown: none was asked for, or none was measured."
+    if options.policy is None:
+        note = (
+            "A run records actions and no scores. Name its policy (--policy, and --checkpoint where it has one) to see "
+            "the maps and the calibration of one that has them."
+        )
+        return _Pictures(run, cards, reason, (), note, 0, options.per_label)
+
+    rows: list[Row] = scored_episodes(run, options.scored)
+    step = run.steps[0]
+    places = [n for n, card in enumerate(cards) if card.take is not None]
+    takes = [card.take for card in cards if card.take is not None]
+    questions = [(take.situation, take.action) for take in takes]
+    questions += [(situation_of(scenarios.scenarios[row["index"]], run), row[f"step{step}_action"]) for row in rows]
+    progress.phase("ask", len(questions))
+    answers = ask_scores(options.policy, options.checkpoint, options.device, questions) if questions else []
+    progress.advance(len(questions))
+    for n, answer in zip(places, answers, strict=False):
+        cards[n] = with_scores(cards[n], answer)
+    scores = [answer.chosen for answer in answers[len(takes) :]]
+    if not all(0 <= score <= 1 for score in scores):
+        note = "The policy's scores are not shares between 0 and 1: there is no calibration to show."
+        return _Pictures(run, cards, reason, (), note, 0, options.per_label)
+    note = (
+        f"The run recorded no scores: the policy was asked again about {len(rows):,} episodes, spread over the list, "
+        f"and about those above. Scored is step {content.step_name(run.task, step)}."
+    )
+    bins = calibration(rows, step, scores)
+    return _Pictures(run, cards, reason, bins, note, len(rows), options.per_label)
+
+
+def _scenarios(run: FinishedRun) -> ScenarioList:
+    """The list of the run; an error where this installation does not have it."""
+    version = str(run.episodes[0]["scenario"]).partition("/")[0]
+    scenarios = load_list(run.task, run.summary["split"], version)
+    if scenarios.sha256 != run.summary["scenarios_hash"] or len(run.episodes) > len(scenarios.scenarios):
+        raise InputError(
+            f"the {run.task}/{run.summary['split']} list {version} of this installation is not the one of the run",
+            hint="install the version of rema that made the run",
+        )
+    return scenarios
