@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ from baselines.rounds.chunk import CHUNK_EPISODES, EncodedChunk, cut
 from baselines.rounds.plan import CollectionPlan
 from baselines.rounds.play import BATCH, Player
 from baselines.rounds.work import WorkFolder, work_path
-from evaluator.engines import make_engine
+from evaluator.engines import Engine, make_engine
 from evaluator.engines.child import call_in_child
 from evaluator.runner import Backend, ProgressSink, Silent, default_backend
 from rema_data.errors import InputError, PolicyFailureError, RunMismatchError
@@ -50,6 +52,7 @@ def collect(
     *,
     engine: str = "process",
     workers: int | None = None,
+    address: str | None = None,
     progress: ProgressSink | None = None,
     backend: Backend | None = None,
     chunk_episodes: int = CHUNK_EPISODES,
@@ -61,9 +64,11 @@ def collect(
     plan : CollectionPlan
     output : Path
         Folder of releases.
-    engine : {"process", "inline"}
+    engine : {"process", "inline", "ray"}
     workers : int, optional
-        Every core by default. No byte of the release depends on it.
+        Every core by default, with ``ray`` every CPU of the cluster. No byte of the release depends on either.
+    address : str, optional
+        Of the Ray cluster; see ``make_engine``.
     progress : ProgressSink, optional
     backend : Backend, optional
         The real world and the real host of policies by default.
@@ -87,7 +92,7 @@ def collect(
         Workers are stopped; run again to go on.
     """
     collection = _Collection(plan, output, progress or Silent(), backend or default_backend(), chunk_episodes)
-    return collection.run(engine, workers)
+    return collection.run(partial(make_engine, engine, workers, address=address))
 
 
 def inherit(plan: CollectionPlan, output: Path) -> tuple[ReleaseFolder | None, list[BlockKey]]:
@@ -192,7 +197,7 @@ class _Collection:
                 name=name,
             )
 
-    def run(self, engine: str, workers: int | None) -> Collected:
+    def run(self, start_engine: Callable[[str], Engine]) -> Collected:
         if (found := self.sealed()) is not None:
             shutil.rmtree(self.work, ignore_errors=True)
             return found
@@ -202,12 +207,12 @@ class _Collection:
         with WorkFolder.locked(self.work, identity) as work:
             found = self.sealed()  # by a process that we may have waited for
             if found is None:
-                self.play(work, engine, workers)
+                self.play(work, start_engine)
                 found = Collected(self.seal(work), already=False)
         shutil.rmtree(self.work, ignore_errors=True)
         return found
 
-    def play(self, work: WorkFolder, engine: str, workers: int | None) -> None:
+    def play(self, work: WorkFolder, start_engine: Callable[[str], Engine]) -> None:
         """Play and commit what is missing."""
         missing = [chunk for chunk in self.chunks if not work.has(chunk)]
         if not missing:
@@ -219,7 +224,7 @@ class _Collection:
         self.progress.phase("collect", left)
         player = Player(self.plan.seed, self.backend, self.policies.of)
         try:
-            with closing(self.policies), closing(make_engine(engine, workers, self.backend.simulator)) as running:
+            with closing(self.policies), closing(start_engine(self.backend.simulator)) as running:
                 self.policies.start(chunk.block for chunk in missing)
                 for chunk, episodes in player.play(missing, running, self.progress.advance):
                     work.commit(chunk, EncodedChunk.of(episodes))

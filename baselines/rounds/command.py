@@ -23,12 +23,20 @@ __all__ = ["collect"]
     "--output", type=click.Path(path_type=Path), default=Path("releases"), show_default=True, help="Folder of releases."
 )
 @click.option("--workers", type=click.IntRange(min=1), help="Simulation processes.  [default: one a core]")
-@click.option("--engine", type=click.Choice(["process", "inline"]), default="process", show_default=True)
+@click.option("--engine", type=click.Choice(["process", "inline", "ray"]), default="process", show_default=True)
+@click.option("--address", help="Of the Ray cluster, as HOST:PORT.  [default: RAY_ADDRESS, or the one of this machine]")
 @click.option("--dry-run", is_flag=True, help="Print episodes, policies, expected time and size; collect nothing.")
 @click.option("--register", "publish", is_flag=True, help="Also enter the release in manifests/datasets.")
 @click.option("--json", "as_json", is_flag=True, help="Print one object.")
 def collect(
-    plan: Path, output: Path, workers: int | None, engine: str, dry_run: bool, publish: bool, as_json: bool
+    plan: Path,
+    output: Path,
+    workers: int | None,
+    engine: str,
+    address: str | None,
+    dry_run: bool,
+    publish: bool,
+    as_json: bool,
 ) -> None:
     """Play every episode of PLAN, a TOML file, and seal the release that it names.
 
@@ -45,14 +53,14 @@ def collect(
 
         inherit(wanted, output)
         with StderrProgress() as progress:
-            expected = estimate(wanted, engine=engine, workers=workers, progress=progress)
+            expected = estimate(wanted, engine=engine, workers=workers, address=address, progress=progress)
         _print_expected(wanted.about.name, expected, as_json)
         return
 
     from baselines.rounds.collect import collect as run
 
     with StderrProgress() as progress:
-        done = run(wanted, output, engine=engine, workers=workers, progress=progress)
+        done = run(wanted, output, engine=engine, workers=workers, address=address, progress=progress)
     if publish:
         from rema_data.release.registry import register
 

@@ -17,7 +17,7 @@ from baselines.rounds.behaviour import BehaviourPolicies
 from baselines.rounds.chunk import Chunk, EncodedChunk
 from baselines.rounds.plan import BlockPlan, CollectionPlan, PolicyUse
 from baselines.rounds.play import Player
-from evaluator.engines import Engine, default_workers, make_engine
+from evaluator.engines import Engine, default_workers, make_engine, worker_count
 from evaluator.runner import Backend, ProgressSink, Silent, default_backend
 from rema_data.schema import Episode
 from rema_data.store.block import BlockWriter
@@ -57,10 +57,10 @@ class _Rates:
     start_bytes: float
     bytes: float
 
-    def of(self, block: BlockPlan, workers: int) -> Estimate:
+    def of(self, block: BlockPlan, workers: int, cores: int) -> Estimate:
         """With so many worker processes beside this one, or none (then everything happens here)."""
         # However many workers there are, they and this process have no more than the cores.
-        seconds = (self.simulate_s + self.rest_s) / min(workers + 1, default_workers())
+        seconds = (self.simulate_s + self.rest_s) / min(workers + 1, cores)
         if workers:
             seconds = max(seconds, self.rest_s, self.simulate_s / workers)
         return Estimate(block, block.episodes * seconds, round(self.start_bytes + block.episodes * self.bytes))
@@ -71,6 +71,7 @@ def estimate(
     *,
     engine: str = "process",
     workers: int | None = None,
+    address: str | None = None,
     progress: ProgressSink | None = None,
     backend: Backend | None = None,
 ) -> list[Estimate]:
@@ -79,7 +80,7 @@ def estimate(
     Parameters
     ----------
     plan : CollectionPlan
-    engine, workers
+    engine, workers, address
         As in ``collect``.
     progress : ProgressSink, optional
     backend : Backend, optional
@@ -104,8 +105,9 @@ def estimate(
         for kind, block in kinds.items():
             player = Player(plan.seed, backend, policies.of)
             rates[kind] = _measure(player, running, block, Path(folder), progress)
-    count = 0 if engine == "inline" else workers or default_workers()
-    return [rates[_kind(block)].of(block, count) for block in plan.blocks]
+    count = 0 if engine == "inline" else worker_count(engine, workers, address=address)
+    cores = count + 1 if engine == "ray" else default_workers()
+    return [rates[_kind(block)].of(block, count, cores) for block in plan.blocks]
 
 
 def _kind(block: BlockPlan) -> Kind:

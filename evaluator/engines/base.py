@@ -15,6 +15,7 @@ from rema_data.errors import InputError
 from rema_data.schema import Situation, StepOutcome
 
 __all__ = [
+    "FINGERPRINT",
     "SIMULATOR",
     "Engine",
     "InfraError",
@@ -29,6 +30,8 @@ __all__ = [
 
 SIMULATOR = "evaluator.sim.simulator:Simulator"
 """The factory that workers call, as ``module:attribute``: a name crosses process borders, an object does not."""
+FINGERPRINT = "evaluator.sim.fingerprint:fingerprint"
+"""What tells the simulators of different machines apart, likewise."""
 
 
 class StepSimulator(Protocol):

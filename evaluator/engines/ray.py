@@ -1,0 +1,318 @@
+"""Many machines: the shards of a run through an existing Ray cluster, by actors that hold one simulator each.
+
+A simulator that dies is the business of the machine that it dies on (``ray_worker``): it is replaced there, and counted
+as the process engine counts. What is decided here is what happens when a machine, or the actor on it, goes away.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import os
+import signal
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from typing import Any
+
+from evaluator.engines.base import SIMULATOR, InfraError, JobResult, Shard, ShardResult
+from evaluator.engines.child import call_in_child
+from evaluator.engines.process import ATTEMPTS
+from evaluator.engines.ray_worker import RayWorker
+from rema_data.errors import InfrastructureError, InputError, RemaError
+
+__all__ = ["ADDRESS", "RayEngine"]
+
+ADDRESS = "auto"
+"""Address of the cluster by default: what ``RAY_ADDRESS`` says, else the one that this machine is part of."""
+_DEPTH = 2
+"""Shards given to an actor at a time, so that it never waits for the next one."""
+_POLL_S = 1.0
+_START_S = 600.0
+"""As long as nothing runs, an actor is waited for this long: a cluster may have to start a machine first."""
+_FAILED_STARTS = 3
+"""As many actors in a row that are lost before they are ready, while none is, mean that none will be."""
+_RETRY_S = 5.0
+_KNOCK_S = 10.0
+
+
+@dataclasses.dataclass(slots=True, eq=False)
+class _Seat:
+    """One actor and the shards it was given, in the order in which it runs them."""
+
+    name: str
+    actor: Any
+    start: Any
+    calls: deque[tuple[Any, Shard]] = dataclasses.field(default_factory=deque)
+    ready: bool = False
+
+
+class RayEngine:
+    """Runs shards on a Ray cluster.
+
+    Parameters
+    ----------
+    factory : str
+        ``module:attribute`` of a callable that returns a simulator.
+    workers : int, optional
+        Actors, each with one CPU of the cluster; every CPU that it has at the start by default.
+    address : str, optional
+        Of the cluster, as ``ray.init`` takes it; ``local`` starts one on this machine for as long as the engine lives.
+        A process that is connected already stays so.
+    same : str, optional
+        ``module:attribute`` of a call whose value must be the same on every machine as here.
+    episode_limit_s : float
+        As in ``ProcessEngine``.
+
+    Raises
+    ------
+    InputError
+        Ray is not installed.
+
+    Notes
+    -----
+    Ray neither restarts actors nor retries their calls (``max_restarts=0``, ``max_task_retries=0``): both would run
+    jobs again without a count. A lost actor's place is filled by a new one wherever there is room; the jobs that it
+    was running go out again one by one, and one that loses a second actor is given up with an ``InfraError``, as an
+    episode is that costs the process engine two workers. What merely waited for the lost actor is not counted.
+    Everything a machine needs is the same version of this package.
+    """
+
+    def __init__(
+        self,
+        factory: str = SIMULATOR,
+        workers: int | None = None,
+        *,
+        address: str | None = None,
+        same: str | None = None,
+        episode_limit_s: float = 120.0,
+    ) -> None:
+        self._ray = _import_ray()
+        self.replaced = 0
+        self._workers = workers
+        self._factory, self._address, self._same, self._limit_s = factory, address or ADDRESS, same, episode_limit_s
+        self._expected: Any = None
+        self._ours = False  # whether the connection is to be closed again
+        self._make_actor: Any = None
+        self._seats: list[_Seat] = []
+        self._waiting: deque[Shard] = deque()
+        self._losses: dict[int, int] = {}
+        self._failed_starts = 0
+        self._may_start = self._idle_since = 0.0
+        self._number = 0
+
+    @property
+    def workers(self) -> int:
+        """Number of actors; connects to the cluster where it was not given.
+
+        Raises
+        ------
+        InputError
+            There is no cluster at the address.
+        """
+        if self._workers is None:
+            self._connect()
+            self._workers = max(1, int(self._ray.cluster_resources().get("CPU", 1)))
+        return self._workers
+
+    def map(self, shards: Iterable[Shard]) -> Iterator[ShardResult]:
+        """Run the shards; see ``Engine.map``.
+
+        Raises
+        ------
+        InputError
+            There is no cluster at the address.
+        InfrastructureError
+            No actor can be started, or a machine of the cluster simulates differently from this one.
+        """
+        self._connect()
+        source = iter(shards)
+        self._waiting.clear()
+        self._losses.clear()
+        self._idle_since = time.monotonic()
+        try:
+            while self._dispatch(source):
+                results = self._collect()
+                if results:
+                    yield tuple(results)
+        except BaseException:  # Ctrl-C and an abandoned iterator included: what runs is of no use to anybody
+            self._stop_all()
+            raise
+
+    def close(self) -> None:
+        """Stop the actors, and leave the cluster if this engine joined it."""
+        self._stop_all()
+        if self._ours:
+            self._ray.shutdown()
+            self._ours = False
+
+    def _connect(self) -> None:
+        if not self._ray.is_initialized():
+            self._join()
+        if self._make_actor is None:
+            # Who runs what again is decided in this module, where it is counted.
+            options = {"num_cpus": 1, "max_restarts": 0, "max_task_retries": 0, "scheduling_strategy": "SPREAD"}
+            self._make_actor = self._ray.remote(**options)(RayWorker)
+            self._expected = None if self._same is None else call_in_child(self._same)
+
+    def _join(self) -> None:
+        address = self._address
+        if address == ADDRESS:
+            address = os.environ.get("RAY_ADDRESS", ADDRESS)
+        stop = signal.getsignal(signal.SIGTERM)
+        try:
+            _knock(address)
+            self._ray.init(address=address, log_to_driver=False, logging_level="WARNING")
+        except (OSError, ValueError, RuntimeError, self._ray.exceptions.RayError) as error:
+            raise InputError(
+                f"there is no Ray cluster at {address!r}: {str(error).strip().splitlines()[0]}",
+                hint="start one (ray start --head) and name it: --address HOST:PORT; --address local starts one on "
+                "this machine for as long as it is needed",
+                address=address,
+            ) from error
+        finally:
+            if stop is not None and threading.current_thread() is threading.main_thread():
+                signal.signal(signal.SIGTERM, stop)  # Ray takes it to leave at once
+        self._ours = True
+
+    def _stop_all(self) -> None:
+        for seat in self._seats:
+            self._kill(seat)
+        self._seats.clear()
+
+    def _kill(self, seat: _Seat) -> None:
+        with suppress(Exception):  # it may be gone, and so may the cluster
+            self._ray.kill(seat.actor)
+
+    def _dispatch(self, source: Iterator[Shard]) -> bool:
+        """Give work to the actors that have little, start those that there is work for; whether any is under way."""
+        for seat in self._seats:
+            while seat.ready and len(seat.calls) < _DEPTH and (shard := self._next_shard(source)):
+                seat.calls.append((seat.actor.run.remote(shard), shard))
+        starting = sum(not seat.ready for seat in self._seats)
+        while len(self._seats) < self.workers and time.monotonic() >= self._may_start:
+            if starting >= len(self._waiting):
+                shard = next(source, None)  # one for every actor that is started
+                if not shard:
+                    break
+                self._waiting.append(shard)
+            self._start()
+            starting += 1
+        return bool(self._waiting) or any(seat.calls for seat in self._seats)
+
+    def _next_shard(self, source: Iterator[Shard]) -> Shard | None:
+        return self._waiting.popleft() if self._waiting else next(source, None)
+
+    def _start(self) -> None:
+        actor = self._make_actor.remote(self._factory, self._limit_s)
+        self._seats.append(_Seat(f"r{self._number}", actor, actor.begin.remote(self._same)))
+        self._number += 1
+
+    def _collect(self) -> list[JobResult]:
+        """Wait for a while for starts, results and losses; results of every shard that has come back."""
+        if any(seat.ready for seat in self._seats):
+            self._idle_since = time.monotonic()
+        awaited = [ref for seat in self._seats for ref in self._refs(seat)]
+        if not awaited:
+            time.sleep(_POLL_S)
+        elif self._ray.wait(awaited, num_returns=1, timeout=_POLL_S)[0]:
+            awaited = self._ray.wait(awaited, num_returns=len(awaited), timeout=0)[0]
+            done = set(awaited)
+            return [result for seat in list(self._seats) for result in self._read(seat, done)]
+        if time.monotonic() - self._idle_since > _START_S:
+            raise InfrastructureError(
+                f"no actor could be placed on the Ray cluster within {_START_S:g} s",
+                hint="`ray status` shows what its CPUs are used for; ask for fewer with --workers",
+            )
+        return []
+
+    def _refs(self, seat: _Seat) -> list[Any]:
+        return [ref for ref, _ in seat.calls] if seat.ready else [seat.start]
+
+    def _read(self, seat: _Seat, done: set[Any]) -> list[JobResult]:
+        """Everything of one actor that has come back."""
+        results: list[JobResult] = []
+        errors = self._ray.exceptions
+        try:
+            if not seat.ready and seat.start in done:
+                self._check(self._ray.get(seat.start))
+                seat.ready = True
+                self._failed_starts = 0
+            while seat.calls and seat.calls[0][0] in done:
+                found = self._ray.get(seat.calls[0][0])
+                seat.calls.popleft()
+                results.extend(self._labelled(result, seat.name) for result in found)
+        except errors.RayTaskError as error:
+            raise _refusal(error.cause) from error
+        except errors.RayError as error:
+            if getattr(error, "actor_init_failed", False):
+                raise _refusal(error) from error
+            results.extend(self._lose(seat, str(error)))
+        return results
+
+    def _labelled(self, result: JobResult, worker: str) -> JobResult:
+        return dataclasses.replace(result, worker=worker, attempt=result.attempt + self._losses.get(result.key, 0))
+
+    def _check(self, value: Any) -> None:
+        if value != self._expected:
+            raise InfrastructureError(
+                f"a machine of the Ray cluster simulates differently from this one: {self._same} is {value} there "
+                f"and {self._expected} here",
+                hint="install the same versions on machines of one kind, or evaluate one part on each kind (--shard)",
+                expected=self._expected,
+                got=value,
+            )
+
+    def _lose(self, seat: _Seat, detail: str) -> list[JobResult]:
+        """Fill the place of a lost actor, hand its shards on, and give up what has been lost before."""
+        self._seats.remove(seat)
+        self._kill(seat)
+        self.replaced += 1
+        if not seat.ready:
+            self._failed_starts += 1
+            self._may_start = time.monotonic() + _RETRY_S
+            if self._failed_starts >= _FAILED_STARTS and not any(other.ready for other in self._seats):
+                raise InfrastructureError(
+                    f"actors do not start on the Ray cluster: {detail.strip().splitlines()[-1]}",
+                    hint="look at `ray status` and at the logs of its machines",
+                    detail=detail,
+                )
+        running, *queued = [shard for _, shard in seat.calls] or [()]
+        self._waiting.extendleft(queued)
+        lost = []
+        for job in running:
+            count = self._losses[job.key] = self._losses.get(job.key, 0) + 1
+            if count >= ATTEMPTS:
+                lost.append(JobResult(job.key, InfraError("died", detail), 0.0, seat.name, count))
+            else:
+                self._waiting.append((job,))
+        return lost
+
+
+def _import_ray() -> Any:
+    try:
+        return importlib.import_module("ray")
+    except ImportError as error:
+        raise InputError("the ray engine needs Ray, which is not installed", hint='pip install "rema[ray]"') from error
+
+
+def _knock(address: str) -> None:
+    """Raise an OSError where nobody listens at a HOST:PORT: Ray itself would try for minutes."""
+    host, colon, port = address.rpartition("://")[2].rpartition(":")
+    if colon and port.isdigit():
+        socket.create_connection((host.strip("[]"), int(port)), _KNOCK_S).close()
+
+
+def _refusal(cause: BaseException) -> InfrastructureError:
+    """Why an actor will never work, as an error of ours."""
+    if isinstance(cause, InfrastructureError):
+        return cause
+    detail = cause.message if isinstance(cause, RemaError) else str(cause)
+    return InfrastructureError(
+        f"the machines of the Ray cluster cannot simulate: {detail.strip().splitlines()[-1]}",
+        hint="install this version of rema on all of them",
+        detail=detail,
+    )

@@ -1,0 +1,129 @@
+"""Which scenario an episode is about: a new one from the training domain, or a frozen one of a named list."""
+
+from __future__ import annotations
+
+import re
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evaluator.runner.plan import Plan
+from evaluator.scenarios import SPLITS, ScenarioList, load_list, scenario_id
+from evaluator.sim.reference import prepare
+from evaluator.sim.simulator import Simulator
+from evaluator.sim.spawn import draw_episode
+from rema_data.errors import InputError
+from rema_data.schema import Scenario
+
+__all__ = ["DOMAINS", "Draws", "Start"]
+
+TRAIN = "train"
+DOMAINS = (TRAIN, *SPLITS)
+"""Where scenarios come from: drawn anew, or one of the frozen lists."""
+_NAME = re.compile(r"(?P<version>[^/]+)/(?P<task>[^/]+)/(?P<split>[^/]+)/(?P<index>\d+)")
+
+
+class Start(NamedTuple):
+    """A scenario and its name, which is empty where it was drawn anew."""
+
+    name: str
+    scenario: Scenario
+
+
+class Draws:
+    """Scenarios of a task.
+
+    Parameters
+    ----------
+    task : str
+    domain : {"train", "test", "val"}
+        Where scenarios come from that are not asked for by name. ``train`` is endless: objects from the generator of
+        the episode and, where the last step is played alone, tools as the reference picks them; it meets no frozen
+        list. The frozen lists are drawn from with replacement.
+    protocol : {"conditional", "end-to-end"}
+
+    Raises
+    ------
+    InputError
+        There is no such domain.
+    """
+
+    def __init__(self, task: str, domain: str, protocol: str) -> None:
+        if domain not in DOMAINS:
+            raise InputError(f"unknown domain {domain!r}", hint=f"choose one of: {', '.join(DOMAINS)}", domain=domain)
+        self._task, self._domain = task, domain
+        self._plan = Plan((), task, protocol)
+        self._lists: dict[str, ScenarioList] = {}
+
+    def draw(self, rng: np.random.Generator, simulator: Simulator) -> Start:
+        """A scenario of the domain.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+            Of the environment.
+        simulator : Simulator
+            Picks the tools of a new scenario.
+        """
+        if self._domain != TRAIN:
+            index = int(rng.choice(self._playable))
+            return self._frozen(self._domain, index)
+        if self._plan.end_to_end:
+            return Start("", Scenario(self._task, TRAIN, 0, draw_episode(rng, self._task)))
+        ready = prepare(simulator, self._task, rng)
+        return Start("", Scenario(self._task, TRAIN, 0, ready.placements, ready.grips, ready.pinch))
+
+    def named(self, wanted: Any) -> Start:
+        """The frozen scenario that a user asks for.
+
+        Parameters
+        ----------
+        wanted : int or str
+            A position in the list of the domain (of ``val`` where the domain is ``train``), or a scenario's name such
+            as ``v1/grasp/test/00042``.
+
+        Raises
+        ------
+        InputError
+            There is no such scenario, it is of another task, or it has no tools in hand for the last step.
+        """
+        if not isinstance(wanted, str):
+            return self._frozen("val" if self._domain == TRAIN else self._domain, int(wanted))
+        parts = _NAME.fullmatch(wanted)
+        if parts is None or parts["task"] != self._task:
+            raise InputError(
+                f"{wanted!r} is no scenario of {self._task}",
+                hint=f"name one like {scenario_id('v1', Scenario(self._task, 'val', 42, ()))}",
+                scenario=wanted,
+            )
+        return self._frozen(parts["split"], int(parts["index"]), parts["version"])
+
+    @cached_property
+    def _playable(self) -> list[int]:
+        """Positions in the list of the domain that the protocol can be played on."""
+        scenarios = self._list(self._domain, None).scenarios
+        return [scenario.index for scenario in scenarios if self._plan.eligible(scenario)]
+
+    def _list(self, split: str, version: str | None) -> ScenarioList:
+        key = f"{version}/{split}"
+        if key not in self._lists:
+            self._lists[key] = load_list(self._task, split, version)
+        return self._lists[key]
+
+    def _frozen(self, split: str, index: int, version: str | None = None) -> Start:
+        found = self._list(split, version)
+        if not 0 <= index < len(found.scenarios):
+            raise InputError(
+                f"there is no scenario {index} in the {split} list of {self._task}",
+                hint=f"choose one from 0 to {len(found.scenarios) - 1}",
+                index=index,
+            )
+        scenario = found.scenarios[index]
+        if not self._plan.eligible(scenario):
+            raise InputError(
+                f"scenario {index} has no tools in hand, so its last step has no start",
+                hint='choose another one, or make the environment with protocol="end-to-end"',
+                index=index,
+            )
+        return Start(scenario_id(found.version, scenario), scenario)

@@ -1,0 +1,213 @@
+"""A task as a Gymnasium environment: one step of the environment is one primitive, carried out to its end."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from evaluator.gym.draws import TRAIN, Draws
+from evaluator.gym.picture import Camera
+from evaluator.protocol import PROTOCOLS
+from evaluator.records import POLICY_FAULT
+from evaluator.sim.observation import SLAB_M, observe
+from evaluator.sim.reach import valid_actions
+from evaluator.sim.simulator import Simulator
+from rema_data import grid
+from rema_data.errors import InputError
+from rema_data.schema import HEIGHT_STEP_M, TASKS, Scenario, Situation, StepOutcome, check_task
+
+__all__ = ["TaskEnv"]
+
+_EVIDENCE = ("arm", "displacement_m", "lift_m", "peak_force_n", "contact_steps", "illegal_steps", "sim_steps")
+_OPTIONS = {"scenario"}
+
+
+class TaskEnv(gymnasium.Env[dict[str, Any], np.int64]):
+    """A task of rema.
+
+    Parameters
+    ----------
+    task : str
+    protocol : {"conditional", "end-to-end"}
+        Only the last step, with tools in hand; or every step, from empty hands.
+    domain : {"train", "test", "val"}
+        Where the scenarios of ``reset`` come from: drawn anew by default, or from a frozen list.
+    render_mode : {"rgb_array"}, optional
+
+    Raises
+    ------
+    InputError
+        There is no such task, protocol, domain or render mode.
+
+    Notes
+    -----
+    An observation has ``scene`` float32 (64, 64), metres; ``end_effector`` float32 (112, 112, 4), depth in metres and
+    mask of two states; ``valid`` int8 (64, 64, 16), 1 for the actions that may be chosen; and ``step``, the position
+    of the next primitive in the task. The first three are what ``rema evaluate`` shows a policy.
+
+    An action is one grid index ``(i * 64 + j) * 16 + k``. One that is not valid ends the episode with the label
+    ``policy_error``, as in an evaluation. The reward is 1 when the last step succeeds and 0 otherwise; the episode ends
+    with its last or its first failed step, and its last observation stays what it was.
+
+    After a step, and not before, ``info`` says what came of it: ``outcome`` (``success`` or a failure label),
+    ``is_success`` (of the task) and ``evidence``. ``scenario`` names a frozen scenario and is empty for a new one.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 1}  # noqa: RUF012 - as its base says
+
+    def __init__(
+        self, task: str, protocol: str = "conditional", domain: str = TRAIN, render_mode: str | None = None
+    ) -> None:
+        steps = TASKS[check_task(task)]
+        for name, value, allowed in (
+            ("protocol", protocol, tuple(PROTOCOLS)),
+            ("render mode", render_mode, (None, *self.metadata["render_modes"])),
+        ):
+            if value not in allowed:
+                choices = ", ".join(str(choice) for choice in allowed)
+                raise InputError(f"unknown {name} {value!r}", hint=f"choose one of: {choices}")
+        self.render_mode = render_mode
+        self.action_space = spaces.Discrete(grid.ACTIONS)
+        self.observation_space = spaces.Dict(
+            {
+                "scene": spaces.Box(0.0, _metres(SLAB_M), (grid.SCENE_PIXELS,) * 2, np.float32),
+                "end_effector": spaces.Box(
+                    0.0, np.broadcast_to(np.array([_metres(SLAB_M), 1.0] * 2, np.float32), _EFFECTOR), dtype=np.float32
+                ),
+                "valid": spaces.MultiBinary((grid.SCENE_PIXELS, grid.SCENE_PIXELS, grid.ANGLES)),
+                "step": spaces.Discrete(len(steps)),
+            }
+        )
+        self._conditional = protocol == "conditional"
+        self._draws = Draws(task, domain, protocol)
+        self._simulator = Simulator()
+        self._camera: Camera | None = None
+        self._name = ""
+        self._scenario: Scenario | None = None
+        self._situation: Situation | None = None
+        self._action: int | None = None  # of the step that ended the episode
+        self._ended = True
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Begin an episode.
+
+        Parameters
+        ----------
+        seed : int, optional
+            Of everything that is drawn from now on.
+        options : dict, optional
+            ``{"scenario": 17}`` chooses by position in the frozen list (of ``val`` in the training domain), and
+            ``{"scenario": "v1/grasp_push/test/00017"}`` by name.
+
+        Raises
+        ------
+        InputError
+            There is no such option or scenario.
+        MissingFileError, IntegrityError
+            The frozen list cannot be read.
+        """
+        super().reset(seed=seed)
+        options = options or {}
+        if unknown := sorted(set(options) - _OPTIONS):
+            raise InputError(f"unknown option {unknown[0]!r}", hint=f"known: {', '.join(_OPTIONS)}")
+        wanted = options.get("scenario")
+        if wanted is None:
+            self._name, scenario = self._draws.draw(self.np_random, self._simulator)
+        else:
+            self._name, scenario = self._draws.named(wanted)
+        self._scenario = scenario
+        self._situation = scenario.last_situation() if self._conditional else scenario.first_situation()
+        self._action, self._ended = None, False
+        return self._observation(self._situation), self._info(self._situation)
+
+    def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
+        """Carry out one primitive.
+
+        Parameters
+        ----------
+        action : int
+            Grid index.
+
+        Raises
+        ------
+        InputError
+            It is not in the action space.
+        gymnasium.error.ResetNeeded
+            No episode is under way.
+        """
+        if self._ended or self._situation is None or self._scenario is None:
+            raise gymnasium.error.ResetNeeded("the episode has ended: call reset()")
+        index = self._index(action)
+        situation = self._situation
+        outcome = self._outcome(situation, index)
+        self._ended = situation.last or not outcome.success
+        if self._ended:
+            self._action = index
+        else:
+            self._situation = self._scenario.next_situation(situation, outcome)
+        won = outcome.success and situation.last
+        info = self._info(self._situation) | {
+            "outcome": "success" if outcome.failure is None else outcome.failure.value,
+            "is_success": won,
+            "evidence": {name: getattr(outcome, name) for name in _EVIDENCE},
+        }
+        return self._observation(self._situation), float(won), self._ended, False, info
+
+    def render(self) -> Any:
+        """The world before the next primitive, or at the end of the last one: uint8 (480, 640, 3)."""
+        if self.render_mode is None or self._situation is None:
+            return None
+        if self._camera is None:
+            self._camera = Camera()
+        if self._action is None or not valid_actions(self._situation.task, self._situation.step).flat[self._action]:
+            return self._camera.before(self._situation)
+        return self._camera.after(self._situation, self._action)
+
+    def close(self) -> None:
+        """Release the simulator and the camera."""
+        self._simulator.close()
+        if self._camera is not None:
+            self._camera.close()
+            self._camera = None
+
+    def _index(self, action: Any) -> int:
+        value = np.asarray(action)
+        if value.ndim or not np.issubdtype(value.dtype, np.integer) or not 0 <= value < grid.ACTIONS:
+            raise InputError(
+                f"{action!r} is no action",
+                hint=f"give a grid index from 0 to {grid.ACTIONS - 1}: (i * 64 + j) * 16 + k",
+                action=repr(action),
+            )
+        return int(value)
+
+    def _outcome(self, situation: Situation, action: int) -> StepOutcome:
+        if not valid_actions(situation.task, situation.step).flat[action]:
+            return POLICY_FAULT
+        return self._simulator.run(situation, action)
+
+    def _observation(self, situation: Situation) -> dict[str, Any]:
+        seen = observe(situation)
+        return {
+            "scene": seen.scene_m(),
+            "end_effector": np.ascontiguousarray(seen.end_effector()),
+            "valid": valid_actions(situation.task, situation.step).astype(np.int8),
+            "step": np.int64(situation.step),
+        }
+
+    def _info(self, situation: Situation) -> dict[str, Any]:
+        kind = situation.kind
+        return {"scenario": self._name, "primitive": kind.primitive.value, "embodiment": kind.embodiment.value}
+
+
+_EFFECTOR = (grid.EE_PIXELS, grid.EE_PIXELS, 4)
+
+
+def _metres(height_m: float) -> npt.NDArray[np.float32] | np.float32:
+    """A height as the maps hold it: a multiple of their resolution, rounded as theirs are."""
+    return np.float32(np.uint16(round(height_m / HEIGHT_STEP_M)) * np.float32(HEIGHT_STEP_M))

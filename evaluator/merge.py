@@ -1,0 +1,283 @@
+"""Several runs over parts of the scenarios, put together to the one run that they are parts of.
+
+A part is a run folder like any other, whose other episodes have no result. Merging takes its records, not its tables:
+the tables of the whole are made from all records as those of a single run are, and so are the same bytes.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+from evaluator.episodes import episodes_table, timings_table, to_parquet
+from evaluator.evidence.actions import actions_of, encode_actions
+from evaluator.evidence.header import read_header
+from evaluator.evidence.merkle import merkle_root
+from evaluator.evidence.rows import row_leaves
+from evaluator.evidence.seal import ACTIONS_FILE, EPISODES_FILE, LEAVES_FILE, SUMMARY_FILE
+from evaluator.policy.loading import PolicySpec
+from evaluator.records import ANSWERS, OUTCOMES, Journal, Ledger, Records, read_journal
+from evaluator.runner.audit import audit_summary, repeats
+from evaluator.runner.config import EvaluationConfig, EvaluationResult
+from evaluator.runner.folder import TIMINGS_FILE, RunFolder
+from evaluator.runner.plan import Plan
+from evaluator.runner.simulate import check_infrastructure
+from evaluator.runner.summary import summarise
+from evaluator.runner.tally import unfinished
+from evaluator.scenarios import ScenarioList, load_list
+from rema_data.errors import InputError, MissingFileError, RunMismatchError
+from rema_data.storage import storage_errors
+
+__all__ = ["merge_runs"]
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A run folder and its header."""
+
+    folder: RunFolder
+
+    @property
+    def path(self) -> Path:
+        return self.folder.path
+
+    @property
+    def header(self) -> dict[str, Any]:
+        return self.folder.header
+
+    @property
+    def shards(self) -> list[str]:
+        """Which parts its segments say that they played, such as ``2/8``."""
+        found = [str(segment["shard"]) for segment in self.header["segments"] if segment.get("shard") is not None]
+        return sorted(set(found))
+
+
+def merge_runs(parts: Sequence[Path], output: Path) -> EvaluationResult:
+    """Put runs over parts of one scenario list together.
+
+    Parameters
+    ----------
+    parts : sequence of Path
+        Run folders of the same policy, task, protocol, scenario list and simulator, in any order. They are left as
+        they are.
+    output : Path
+        Folder of the whole run, which must not be there. It can be resumed, replayed and reported like any other.
+
+    Returns
+    -------
+    EvaluationResult
+
+    Raises
+    ------
+    MissingFileError, IntegrityError
+        A folder holds no run, or a damaged one; or the scenario list is not the frozen one.
+    RunMismatchError
+        The runs do not belong together: the message names two folders and the field that differs.
+    InputError
+        The output is there already; another process is writing in a part; two parts hold the same scenario, or some
+        scenarios are in none.
+    InfrastructureError
+        More than 0.1 % of the episodes were lost, after everything is written.
+    StorageError
+        The disk is full or may not be written.
+    """
+    if output.exists() and not (output.is_dir() and not any(output.iterdir())):
+        raise InputError(f"{output} is there already", hint="choose another folder with --output", path=str(output))
+    with ExitStack() as stack:
+        found = [stack.enter_context(_opened(path)) for path in _distinct(parts)]
+        _check_identity(found)
+        first = found[0].header
+        identity, episodes = first["identity"], first["episodes"]
+        scenarios = _scenarios(identity)
+        plan = Plan(scenarios.scenarios[:episodes], identity["task"], identity["protocol"])
+        _check_disjoint(found)
+        with _staged(output) as staging, RunFolder.locked(staging, identity, episodes) as folder:
+            _copy_records(found, folder)
+            summary, records = _finish(folder, plan, scenarios, output, found)
+        check_infrastructure(records, summary, output)
+        return EvaluationResult(output, summary)
+
+
+def _distinct(parts: Sequence[Path]) -> list[Path]:
+    if not parts:
+        raise InputError("there is nothing to merge", hint="give the run folders of all shards")
+    seen: dict[Path, Path] = {}
+    for path in parts:
+        if path.resolve() in seen:
+            raise InputError(f"{path} is given twice", hint="give every part once", path=str(path))
+        seen[path.resolve()] = path
+    return list(parts)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[_Part]:
+    """A part that nobody is writing in meanwhile."""
+    header, _ = read_header(path)
+    lock = FileLock(path / ".lock", timeout=0)
+    try:
+        with storage_errors(path):
+            lock.acquire()
+    except Timeout as error:
+        raise InputError(f"another process is writing in {path}", hint="wait for it", path=str(path)) from error
+    try:
+        yield _Part(RunFolder(path, header))
+    finally:
+        lock.release()
+
+
+def _check_identity(parts: Sequence[_Part]) -> None:
+    """Raise where two parts are not of the same run."""
+    first = parts[0]
+    for other in parts[1:]:
+        ours, theirs = ({**part.header["identity"], "episodes": part.header["episodes"]} for part in (first, other))
+        for field in {**ours, **theirs}:
+            if ours.get(field) != theirs.get(field):
+                raise RunMismatchError(
+                    f"{first.path} and {other.path} are not parts of one run: the {field} of the first is "
+                    f"{ours.get(field)}, of the second {theirs.get(field)}",
+                    hint="merge runs of the same command with other --shard",
+                    field=field,
+                    paths=[str(first.path), str(other.path)],
+                )
+
+
+def _scenarios(identity: dict[str, Any]) -> ScenarioList:
+    """The list that the parts were played on.
+
+    Raises
+    ------
+    RunMismatchError
+        The list of this installation is another one.
+    """
+    found = load_list(identity["task"], identity["split"])
+    if found.sha256 != identity["scenarios_hash"]:
+        raise RunMismatchError(
+            f"the parts were played on the scenario list {identity['scenarios_hash']}, the one here is {found.sha256}",
+            hint="merge with the version of rema that evaluated",
+            field="scenarios_hash",
+        )
+    return found
+
+
+def _check_disjoint(parts: Sequence[_Part]) -> None:
+    """Raise where two parts hold the same scenario."""
+    owner: dict[int, _Part] = {}
+    for part in parts:
+        indices = {row["index"] for name in (ANSWERS, OUTCOMES) for _, row in read_journal(part.folder.records, name)}
+        for index in sorted(indices):
+            if index in owner:
+                raise InputError(
+                    f"scenario {index} is both in {owner[index].path} and in {part.path}",
+                    hint="merge parts of one division, all with the same --batch-size, and every part once",
+                    index=index,
+                )
+        owner.update(dict.fromkeys(indices, part))
+
+
+@contextmanager
+def _staged(output: Path) -> Iterator[Path]:
+    """A folder beside ``output`` that becomes it at the end, or goes."""
+    with storage_errors(output):
+        output.parent.mkdir(parents=True, exist_ok=True)
+        staging = Path(tempfile.mkdtemp(prefix=f".{output.name}.merging-", dir=output.parent))
+        staging.chmod(0o755)
+        try:
+            yield staging
+            staging.replace(output)
+        except BaseException:
+            shutil.rmtree(staging, ignore_errors=True)
+            raise
+
+
+def _copy_records(parts: Sequence[_Part], folder: RunFolder) -> None:
+    """The journals of all parts, audits included, with their segments numbered anew."""
+    segments: list[dict[str, Any]] = []
+    for part in parts:
+        numbers = {}
+        for segment in part.header["segments"]:
+            numbers[segment["number"]] = len(segments) + 1
+            segments.append({**segment, "number": len(segments) + 1})
+        for source, target in ((part.folder.records, folder.records), (part.folder.repeats, folder.repeats)):
+            for name in (ANSWERS, OUTCOMES):
+                _copy_journal(source, target, name, numbers)
+    folder.header["segments"] = segments
+    folder.set_policy(**parts[0].header["policy"])
+
+
+def _copy_journal(source: Path, target: Path, name: str, numbers: dict[int, int]) -> None:
+    rows: dict[int, list[dict[str, Any]]] = {}
+    for segment, row in read_journal(source, name):
+        rows.setdefault(segment, []).append(row)
+    for segment, some in rows.items():
+        with closing(Journal(target, name, numbers[segment])) as journal:
+            journal.append(some)
+
+
+def _finish(
+    folder: RunFolder, plan: Plan, scenarios: ScenarioList, output: Path, parts: Sequence[_Part]
+) -> tuple[dict[str, Any], Ledger]:
+    """Tables, summary and seal of the whole run; its summary and records."""
+    with closing(Ledger(folder.records, folder.segment)) as ledger:
+        table = episodes_table(scenarios, len(plan.scenarios), plan.steps, ledger)
+        if left := unfinished(plan, table):
+            raise _incomplete(left, len(plan.scenarios), parts)
+        leaves = row_leaves(table)
+        root = merkle_root(leaves)
+        files = {
+            EPISODES_FILE: to_parquet(table),
+            ACTIONS_FILE: encode_actions(actions_of(table, plan.steps)),
+            LEAVES_FILE: b"".join(leaves),
+        }
+        audit = _audit(folder, plan, ledger)
+        summary = summarise(_config(folder.header, output), plan, ledger, table, folder.header, root, audit)
+        files[SUMMARY_FILE] = (json.dumps(summary, indent=2) + "\n").encode()
+        for name, content in files.items():
+            folder.write(name, content)
+        folder.write(TIMINGS_FILE, to_parquet(timings_table(ledger, len(plan.scenarios))))
+        folder.seal(files, root=root, steps=plan.steps, unfinished=0)
+    return summary, ledger
+
+
+def _incomplete(left: int, episodes: int, parts: Sequence[_Part]) -> InputError:
+    """Which parts are not there, as far as the folders tell."""
+    played = {shard for part in parts for shard in part.shards}
+    count = max((int(shard.partition("/")[2]) for shard in played), default=0)
+    missing = [shard for shard in (f"{number}/{count}" for number in range(1, count + 1)) if shard not in played]
+    where = f"; no folder is of shard {', '.join(missing)}" if missing else ""
+    return InputError(
+        f"{left:,} of {episodes:,} episodes are in no part, or not finished{where}",
+        hint="finish all shards (the same command again goes on where it stopped) and give all their folders",
+        unfinished=left,
+        missing=missing,
+    )
+
+
+def _audit(folder: RunFolder, plan: Plan, ledger: Records) -> dict[str, Any] | None:
+    """What the audits of the parts found together; None where nothing was repeated."""
+    with closing(Ledger(folder.repeats, folder.segment)) as again:
+        done = again.answers.keys() | again.outcomes.keys()
+        wanted = [repeat for repeat in repeats(plan, ledger, 1.0) if (repeat.index, repeat.step) in done]
+        return audit_summary(wanted, ledger, again) if wanted else None
+
+
+def _config(header: dict[str, Any], output: Path) -> EvaluationConfig:
+    """The command of the whole run, as far as its summary needs it."""
+    identity, policy = header["identity"], header["policy"]
+    try:
+        spec = PolicySpec(policy["name"], Path(policy["file"]), policy["class_name"])
+    except KeyError as error:
+        raise MissingFileError(
+            f"the parts do not say which policy they are of: {error} is missing", hint="evaluate them again"
+        ) from error
+    names = ("task", "protocol", "split")
+    return EvaluationConfig(
+        spec, output=output, episodes=header["episodes"], **{name: identity[name] for name in names}
+    )
