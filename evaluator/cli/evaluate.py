@@ -18,7 +18,9 @@ __all__ = ["evaluate"]
 @click.option("--checkpoint", type=click.Path(path_type=Path), help="Weights, handed to the policy.")
 @click.option("--episodes", type=click.IntRange(min=1), default=10_000, show_default=True, help="First N scenarios.")
 @click.option("--workers", type=click.IntRange(min=1), help="Simulation processes.  [default: one a core]")
-@click.option("--engine", type=click.Choice(["process", "inline"]), default="process", show_default=True)
+@click.option("--engine", type=click.Choice(["process", "inline", "ray"]), default="process", show_default=True)
+@click.option("--address", help="Of a Ray cluster.  [default: the one that this machine belongs to]")
+@click.option("--shard", metavar="I/N", help="Play this part of the scenarios; `rema merge` puts them together.")
 @click.option("--protocol", type=click.Choice(list(PROTOCOLS)), default="conditional", show_default=True)
 @click.option("--split", type=click.Choice(["test", "val"]), default="test", show_default=True)
 @click.option("--output", type=click.Path(path_type=Path), help="Run folder.  [default: runs/POLICY-TASK-PROTOCOL]")
@@ -40,6 +42,8 @@ def evaluate(
     episodes: int,
     workers: int | None,
     engine: str,
+    address: str | None,
+    shard: str | None,
     protocol: str,
     split: str,
     output: Path | None,
@@ -59,12 +63,16 @@ def evaluate(
     # Imported here, so that a mistyped option is answered at once.
     from evaluator.cli.progress import StderrProgress
     from evaluator.cli.result import print_result
+    from evaluator.parts import Part
     from evaluator.policy.loading import check_checkpoint, resolve
     from evaluator.policy.shipped import shipped_checkpoint
     from evaluator.runner import EvaluationConfig, run_evaluation
 
     spec = resolve(policy)
+    part = None if shard is None else Part.parse(shard)
     name = f"{spec.name}-{task}-{protocol}" + ("" if split == "test" else f"-{split}")
+    if part is not None:
+        name += f"-shard-{part.number}-of-{part.count}"
     config = EvaluationConfig(
         policy=spec,
         task=task,
@@ -78,6 +86,8 @@ def evaluate(
         workers=workers,
         batch_size=batch_size,
         sandbox=sandbox,
+        address=address,
+        part=part,
     )
     with StderrProgress() as progress:
         if against is None:

@@ -11,6 +11,7 @@ from rema_data.errors import InputError
 from rema_data.schema import check_task
 
 if TYPE_CHECKING:
+    from evaluator.parts import Part
     from evaluator.policy.loading import PolicySpec
 
 __all__ = ["ORDERS", "PROTOCOLS", "EvaluationConfig", "EvaluationResult", "ProgressSink", "Silent"]
@@ -40,9 +41,13 @@ class EvaluationConfig:
     split : {"test", "val"}
     episodes : int
         The first so many scenarios of the list.
-    engine : {"process", "inline"}
+    engine : {"process", "inline", "ray"}
     workers : int or None
-        Every core by default.
+        Every core by default; with Ray, of the whole cluster.
+    address : str or None
+        Of the Ray cluster.
+    part : Part or None
+        Play these of the scenarios only: ``evaluator.merge`` puts the parts together.
     batch_size : int
         Observations in one question to the policy. Batches are fixed by scenario order, also after a resume.
     order : {"shuffled", "forward", "reverse"}
@@ -73,6 +78,8 @@ class EvaluationConfig:
     order: str = "shuffled"
     audit_share: float = AUDIT_SHARE
     sandbox: str | None = None
+    address: str | None = None
+    part: Part | None = None
 
     def __post_init__(self) -> None:
         check_task(self.task)

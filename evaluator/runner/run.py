@@ -11,7 +11,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from evaluator.engines import default_workers
+from evaluator.engines import worker_count
 from evaluator.engines.child import call_in_child
 from evaluator.episodes import episodes_table, timings_table, to_parquet, verdict
 from evaluator.evidence.actions import actions_of, encode_actions
@@ -126,6 +126,8 @@ class _Run:
         self.seconds = dict.fromkeys(PHASES, 0.0)
         self.own_bank = folder.path / ".observations"
         self.sealed: dict[str, bytes] = {}
+        everything = range(config.episodes)
+        self.mine = everything if config.part is None else config.part.indices(config.episodes, config.batch_size)
 
     def go(self) -> EvaluationResult:
         done = self._finished()
@@ -172,13 +174,16 @@ class _Run:
 
     def _begin(self) -> None:
         config = self.config
-        workers = 1 if config.engine == "inline" else config.workers or default_workers()
         self.folder.begin_segment(
-            engine=config.engine, workers=workers, batch_size=config.batch_size, order=config.order
+            engine=config.engine,
+            workers=worker_count(config.engine, config.workers, address=config.address),
+            batch_size=config.batch_size,
+            order=config.order,
+            shard=None if config.part is None else str(config.part),
         )
 
     def _step(self, step: int) -> None:
-        alive = self.plan.alive(step, self.ledger)
+        alive = {index: one for index, one in self.plan.alive(step, self.ledger).items() if index in self.mine}
         if any((index, step) not in self.ledger.answers for index in alive):
             self._ask(step, alive)
         jobs = pending_jobs(alive, step, self.ledger)
@@ -195,6 +200,7 @@ class _Run:
                     engine=self.config.engine,
                     workers=self.config.workers,
                     order=self.config.order,
+                    address=self.config.address,
                 )
 
     def _ask(self, step: int, alive: dict[int, Situation]) -> None:

@@ -42,6 +42,7 @@ def simulate_jobs(
     engine: str,
     workers: int | None,
     order: str,
+    address: str | None = None,
 ) -> None:
     """Run jobs and record what came of them.
 
@@ -56,7 +57,7 @@ def simulate_jobs(
         Of a phase that has begun.
     simulator : str
         ``module:attribute`` of the simulator's factory.
-    engine, workers, order
+    engine, workers, order, address
         See ``EvaluationConfig``.
 
     Raises
@@ -67,7 +68,7 @@ def simulate_jobs(
         The disk is full.
     """
     ordered = arrange(jobs, order, [job.key for job in jobs])
-    running: Engine = make_engine(engine, workers, simulator)
+    running: Engine = make_engine(engine, workers, simulator, address=address)
     with closing(running):
         for results in running.map(shards(ordered)):
             records.add_outcomes(

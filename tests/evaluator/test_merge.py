@@ -67,6 +67,23 @@ def whole(divided: Path) -> Path:
     return divided / "whole"
 
 
+def test_shards_that_were_played_merge_to_the_run_that_was_not_divided(
+    divided: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("REMA_MANIFESTS", str(divided / "manifests"))
+    monkeypatch.setenv("REMA_HOME", str(tmp_path / "home"))
+    parts = []
+    for number in range(1, COUNT + 1):
+        part = Part(number, COUNT)
+        config = fake_config(
+            tmp_path / f"part{number}", task=LONG, protocol="end-to-end", batch_size=BATCH, engine="inline", part=part
+        )
+        result = run_evaluation(config, backend=fake_backend())
+        parts.append(result.folder)
+        assert result.summary["unfinished"] == EPISODES - len(part.indices(EPISODES, BATCH))
+    assert table(merge_runs(parts, tmp_path / "merged").folder) == table(whole)
+
+
 @pytest.fixture
 def parts(divided: Path, fake_home: Path) -> list[Path]:
     """Three parts of it, to be changed."""
