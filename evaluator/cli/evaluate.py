@@ -87,7 +87,7 @@ def evaluate(
         batch_size=batch_size,
         sandbox=sandbox,
         address=address,
-        part=part,
+        shard=part,
     )
     with StderrProgress() as progress:
         if against is None:

@@ -46,7 +46,7 @@ class EvaluationConfig:
         Every core by default; with Ray, of the whole cluster.
     address : str or None
         Of the Ray cluster.
-    part : Part or None
+    shard : Part or None
         Play these of the scenarios only: ``evaluator.merge`` puts the parts together.
     batch_size : int
         Observations in one question to the policy. Batches are fixed by scenario order, also after a resume.
@@ -79,7 +79,7 @@ class EvaluationConfig:
     audit_share: float = AUDIT_SHARE
     sandbox: str | None = None
     address: str | None = None
-    part: Part | None = None
+    shard: Part | None = None
 
     def __post_init__(self) -> None:
         check_task(self.task)

@@ -127,7 +127,7 @@ class _Run:
         self.own_bank = folder.path / ".observations"
         self.sealed: dict[str, bytes] = {}
         everything = range(config.episodes)
-        self.mine = everything if config.part is None else config.part.indices(config.episodes, config.batch_size)
+        self.mine = everything if config.shard is None else config.shard.indices(config.episodes, config.batch_size)
 
     def go(self) -> EvaluationResult:
         done = self._finished()
@@ -179,7 +179,7 @@ class _Run:
             workers=worker_count(config.engine, config.workers, address=config.address),
             batch_size=config.batch_size,
             order=config.order,
-            shard=None if config.part is None else str(config.part),
+            shard=None if config.shard is None else str(config.shard),
         )
 
     def _step(self, step: int) -> None:

@@ -16,7 +16,7 @@ from evaluator.cli.main import cli
 from evaluator.evidence.check import read_evidence
 from evaluator.merge import merge_runs
 from evaluator.parts import Part
-from evaluator.runner import EvaluationConfig, run_evaluation
+from evaluator.runner import run_evaluation
 from rema_data.errors import InputError, IntegrityError, MissingFileError, RunMismatchError
 from tests.evaluator.fakes import FakePolicyProcess, fake_backend, fake_config, write_fake_list
 
@@ -65,23 +65,6 @@ def divided(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def whole(divided: Path) -> Path:
     return divided / "whole"
-
-
-def test_shards_that_were_played_merge_to_the_run_that_was_not_divided(
-    divided: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("REMA_MANIFESTS", str(divided / "manifests"))
-    monkeypatch.setenv("REMA_HOME", str(tmp_path / "home"))
-    parts = []
-    for number in range(1, COUNT + 1):
-        part = Part(number, COUNT)
-        config = fake_config(
-            tmp_path / f"part{number}", task=LONG, protocol="end-to-end", batch_size=BATCH, engine="inline", part=part
-        )
-        result = run_evaluation(config, backend=fake_backend())
-        parts.append(result.folder)
-        assert result.summary["unfinished"] == EPISODES - len(part.indices(EPISODES, BATCH))
-    assert table(merge_runs(parts, tmp_path / "merged").folder) == table(whole)
 
 
 @pytest.fixture
@@ -217,7 +200,6 @@ def test_the_verb(whole: Path, parts: list[Path], fake_home: Path) -> None:
     assert shown.exit_code == 0 and "run folder" in shown.stdout
 
 
-@pytest.mark.skipif("shard" not in EvaluationConfig.__dataclass_fields__, reason="the runner does not take --shard yet")
 @pytest.mark.parametrize("task", ["grasp", LONG])
 def test_divided_runs(task: str, fake_home: Path) -> None:
     changes = {"task": task, "protocol": "end-to-end", "batch_size": BATCH, "engine": "inline", "audit_share": 0.0}
