@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from evaluator.protocol import PROTOCOLS
+from rema_data.errors import InputError
 from rema_data.schema import TASKS
 
 __all__ = ["evaluate"]
@@ -89,6 +90,8 @@ def evaluate(
         address=address,
         shard=part,
     )
+    if against is not None and part is not None:
+        raise InputError("--quick plays the list in its order", hint="drop --quick or --shard")
     with StderrProgress() as progress:
         if against is None:
             result = run_evaluation(config, progress)

@@ -97,6 +97,10 @@ class EvaluationConfig:
             raise InputError(f"audit_share {self.audit_share} is no share", hint="give 0 to 1", field="audit_share")
         if self.batch_size > MAX_BATCH:
             raise InputError(f"--batch-size {self.batch_size} is too large", hint=f"give {MAX_BATCH} or less")
+        if self.address is not None and self.engine != "ray":
+            raise InputError("--address is for the ray engine", hint="add --engine ray, or drop --address")
+        if self.shard is not None:
+            self.shard.indices(self.episodes, self.batch_size)
 
 
 @dataclass(frozen=True, slots=True)

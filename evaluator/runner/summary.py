@@ -7,7 +7,6 @@ from typing import Any
 
 import pyarrow as pa
 
-from evaluator.engines import default_workers
 from evaluator.records import Ledger
 from evaluator.runner.config import EvaluationConfig
 from evaluator.runner.plan import Plan
@@ -55,7 +54,6 @@ def summarise(
     faults = Counter(str(answer.reason) for answer in ledger.answers.values() if answer.action is None)
     identity = header["identity"]
     last = header["segments"][-1] if header["segments"] else {}
-    inline = config.engine == "inline"
     return {
         "task": config.task,
         "split": config.split,
@@ -70,7 +68,7 @@ def summarise(
         "seconds": seconds,
         "episodes_per_second": rate,
         "engine": last.get("engine", config.engine),
-        "workers": last.get("workers", 1 if inline else config.workers or default_workers()),
+        "workers": last.get("workers", config.workers),
         "segments": len(header["segments"]),
         "policy_digest": identity["policy_digest"],
         "protocol_hash": identity["protocol_hash"],

@@ -327,3 +327,14 @@ def test_run_folder_that_cannot_be(fake_home: Path) -> None:
 def test_batches_that_no_pipe_should_carry(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="too large"):
         fake_config(tmp_path, batch_size=1_000_000)
+
+
+def test_a_cluster_is_for_the_ray_engine(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--address"):
+        fake_config(tmp_path, address="head:6379")
+
+
+def test_more_shards_than_batches_are_refused_before_anything_is_written(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="too few for 9 shards"):
+        fake_config(tmp_path / "run", shard=Part(1, 9), batch_size=64)
+    assert not (tmp_path / "run").exists()
