@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 from filelock import FileLock
 
+from evaluator.parts import Part
 from evaluator.runner import run_evaluation
 from evaluator.runner.environment import source_digest
 from rema_data.errors import (
