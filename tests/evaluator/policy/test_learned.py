@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -36,8 +37,8 @@ def test_the_learned_baseline_with_torch(networks: Path) -> None:
         assert host.act(batch) == TaePolicy(networks, "cpu").act(batch).tolist()
 
 
+@pytest.mark.skipif(find_spec("openvino") is None, reason="OpenVINO is not installed")
 def test_the_learned_baseline_with_openvino(networks: Path) -> None:
-    pytest.importorskip("openvino")
     with PolicyHost(resolve("tae"), networks, "openvino", PATIENT) as host:
         assert reasons(host.act(make_batch(2))) == ["ok", "ok"]
 
