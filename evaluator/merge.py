@@ -6,7 +6,6 @@ the tables of the whole are made from all records as those of a single run are, 
 
 from __future__ import annotations
 
-import json
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -17,23 +16,17 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from evaluator.episodes import episodes_table, timings_table, to_parquet
-from evaluator.evidence.actions import actions_of, encode_actions
 from evaluator.evidence.header import read_header
-from evaluator.evidence.merkle import merkle_root
-from evaluator.evidence.rows import row_leaves
-from evaluator.evidence.seal import ACTIONS_FILE, EPISODES_FILE, LEAVES_FILE, SUMMARY_FILE
-from evaluator.policy.loading import PolicySpec
 from evaluator.records import ANSWERS, OUTCOMES, Journal, Ledger, Records, read_journal
 from evaluator.runner.audit import audit_summary, repeats
-from evaluator.runner.config import EvaluationConfig, EvaluationResult
-from evaluator.runner.folder import TIMINGS_FILE, RunFolder
+from evaluator.runner.config import EvaluationResult
+from evaluator.runner.ending import seal_run, write_tables
+from evaluator.runner.folder import RunFolder
 from evaluator.runner.plan import Plan
 from evaluator.runner.simulate import check_infrastructure
-from evaluator.runner.summary import summarise
 from evaluator.runner.tally import unfinished
 from evaluator.scenarios import ScenarioList, load_list
-from rema_data.errors import InputError, MissingFileError, RunMismatchError
+from rema_data.errors import InputError, RunMismatchError
 from rema_data.storage import storage_errors
 
 __all__ = ["merge_runs"]
@@ -101,7 +94,7 @@ def merge_runs(parts: Sequence[Path], output: Path) -> EvaluationResult:
         _check_disjoint(found)
         with _staged(output) as staging, RunFolder.locked(staging, identity, episodes) as folder:
             _copy_records(found, folder)
-            summary, records = _finish(folder, plan, scenarios, output, found)
+            summary, records = _finish(folder, plan, scenarios, found)
         check_infrastructure(records, summary, output)
         return EvaluationResult(output, summary)
 
@@ -222,27 +215,14 @@ def _copy_journal(source: Path, target: Path, name: str, numbers: dict[int, int]
 
 
 def _finish(
-    folder: RunFolder, plan: Plan, scenarios: ScenarioList, output: Path, parts: Sequence[_Part]
+    folder: RunFolder, plan: Plan, scenarios: ScenarioList, parts: Sequence[_Part]
 ) -> tuple[dict[str, Any], Ledger]:
     """Tables, summary and seal of the whole run; its summary and records."""
     with closing(Ledger(folder.records, folder.segment)) as ledger:
-        table = episodes_table(scenarios, len(plan.scenarios), plan.steps, ledger)
-        if left := unfinished(plan, table):
+        tables = write_tables(folder, plan, scenarios, ledger)
+        if left := unfinished(plan, tables.episodes):
             raise _incomplete(left, len(plan.scenarios), parts)
-        leaves = row_leaves(table)
-        root = merkle_root(leaves)
-        files = {
-            EPISODES_FILE: to_parquet(table),
-            ACTIONS_FILE: encode_actions(actions_of(table, plan.steps)),
-            LEAVES_FILE: b"".join(leaves),
-        }
-        audit = _audit(folder, plan, ledger)
-        summary = summarise(_config(folder.header, output), plan, ledger, table, folder.header, root, audit)
-        files[SUMMARY_FILE] = (json.dumps(summary, indent=2) + "\n").encode()
-        for name, content in files.items():
-            folder.write(name, content)
-        folder.write(TIMINGS_FILE, to_parquet(timings_table(ledger, len(plan.scenarios))))
-        folder.seal(files, root=root, steps=plan.steps, unfinished=0)
+        summary = seal_run(folder, plan, ledger, tables, _audit(folder, plan, ledger))
     return summary, ledger
 
 
@@ -266,18 +246,3 @@ def _audit(folder: RunFolder, plan: Plan, ledger: Records) -> dict[str, Any] | N
         done = again.answers.keys() | again.outcomes.keys()
         wanted = [repeat for repeat in repeats(plan, ledger, 1.0) if (repeat.index, repeat.step) in done]
         return audit_summary(wanted, ledger, again) if wanted else None
-
-
-def _config(header: dict[str, Any], output: Path) -> EvaluationConfig:
-    """The command of the whole run, as far as its summary needs it."""
-    identity, policy = header["identity"], header["policy"]
-    try:
-        spec = PolicySpec(policy["name"], Path(policy["file"]), policy["class_name"])
-    except KeyError as error:
-        raise MissingFileError(
-            f"the parts do not say which policy they are of: {error} is missing", hint="evaluate them again"
-        ) from error
-    names = ("task", "protocol", "split")
-    return EvaluationConfig(
-        spec, output=output, episodes=header["episodes"], **{name: identity[name] for name in names}
-    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import time
 from collections.abc import Callable, Iterator
@@ -13,22 +12,19 @@ import pyarrow as pa
 
 from evaluator.engines import worker_count
 from evaluator.engines.child import call_in_child
-from evaluator.episodes import episodes_table, timings_table, to_parquet, verdict
-from evaluator.evidence.actions import actions_of, encode_actions
-from evaluator.evidence.merkle import merkle_root
-from evaluator.evidence.rows import row_leaves
-from evaluator.evidence.seal import ACTIONS_FILE, EPISODES_FILE, LEAVES_FILE, SUMMARY_FILE
+from evaluator.episodes import verdict
 from evaluator.records import Ledger
 from evaluator.runner.audit import ask_again, audit_summary, jobs_again, repeats
 from evaluator.runner.backend import Backend, PolicyProcess, default_backend
 from evaluator.runner.bank import ObservationBank
 from evaluator.runner.config import EvaluationConfig, EvaluationResult, ProgressSink, Silent
-from evaluator.runner.folder import TIMINGS_FILE, RunFolder
+from evaluator.runner.ending import seal_run, write_tables
+from evaluator.runner.folder import RunFolder
 from evaluator.runner.infer import check_faults, infer_batches
 from evaluator.runner.observe import batches, observe_batches
 from evaluator.runner.plan import Plan
 from evaluator.runner.simulate import INFRA_LIMIT, check_infrastructure, pending_jobs, simulate_jobs
-from evaluator.runner.summary import PHASES, summarise
+from evaluator.runner.summary import PHASES
 from evaluator.scenarios import ScenarioList, load_list
 from rema_data.errors import InputError, PolicyFailureError
 from rema_data.schema import Situation
@@ -125,7 +121,6 @@ class _Run:
         self.ledger = Ledger(folder.records, folder.segment)
         self.seconds = dict.fromkeys(PHASES, 0.0)
         self.own_bank = folder.path / ".observations"
-        self.sealed: dict[str, bytes] = {}
         everything = range(config.episodes)
         self.mine = everything if config.shard is None else config.shard.indices(config.episodes, config.batch_size)
 
@@ -145,7 +140,7 @@ class _Run:
                 failed = error
                 if self.folder.policy_log.exists():
                     failed.hint += f"\nwhat it printed is in {self.folder.policy_log}"
-            self._write_tables()
+            tables = write_tables(self.folder, self.plan, self.scenarios, self.ledger)
             if failed is None and self.config.audit_share:
                 with self._timed("audit"):
                     audit = self._audit()
@@ -154,11 +149,13 @@ class _Run:
             self.seconds["total"] = time.perf_counter() - self.start
             rounded = {phase: round(seconds, 3) for phase, seconds in self.seconds.items()}
             self.folder.note_segment(seconds=rounded, finished=self._finished() - done)
-        result = self._finish(audit)
+        stopped_early = None if self.look is None else self.look(tables.episodes)
+        summary = seal_run(self.folder, self.plan, self.ledger, tables, audit, stopped_early)
+        shutil.rmtree(self.own_bank, ignore_errors=True)
         if failed is not None:
             raise failed
-        check_infrastructure(self.ledger, result.summary, self.folder.path)
-        return result
+        check_infrastructure(self.ledger, summary, self.folder.path)
+        return EvaluationResult(self.folder.path, summary)
 
     def _finished(self) -> int:
         ends = (verdict(scenario.index, self.plan.steps, self.ledger) for scenario in self.plan.scenarios)
@@ -238,19 +235,6 @@ class _Run:
             self.progress.note(f"policy isolation {isolation}")
         self.folder.note_segment(isolation=None if isolation is None else isolation.to_dict())
 
-    def _write_tables(self) -> None:
-        table = episodes_table(self.scenarios, self.config.episodes, self.plan.steps, self.ledger)
-        self.table, leaves = table, row_leaves(table)
-        self.root = merkle_root(leaves)
-        self.sealed = {
-            EPISODES_FILE: to_parquet(table),
-            ACTIONS_FILE: encode_actions(actions_of(table, self.plan.steps)),
-            LEAVES_FILE: b"".join(leaves),
-        }
-        for name, content in self.sealed.items():
-            self.folder.write(name, content)
-        self.folder.write(TIMINGS_FILE, to_parquet(timings_table(self.ledger, self.config.episodes)))
-
     def _audit(self) -> dict[str, Any]:
         """Repeat what was not repeated yet, and compare."""
         config, backend = self.config, self.backend
@@ -282,20 +266,3 @@ class _Run:
                     order="forward",
                 )
             return audit_summary(wanted, self.ledger, again)
-
-    def _finish(self, audit: dict[str, Any] | None) -> EvaluationResult:
-        """Write the summary and seal the run."""
-        header = self.folder.header
-        summary = summarise(self.config, self.plan, self.ledger, self.table, header, self.root, audit)
-        if self.look is not None:
-            summary["stopped_early"] = self.look(self.table)
-        payload = json.dumps(summary, indent=2) + "\n"
-        self.folder.write(SUMMARY_FILE, payload)
-        shutil.rmtree(self.own_bank, ignore_errors=True)
-        self.folder.seal(
-            {**self.sealed, SUMMARY_FILE: payload.encode()},
-            root=self.root,
-            steps=self.plan.steps,
-            unfinished=summary["unfinished"],
-        )
-        return EvaluationResult(self.folder.path, summary)

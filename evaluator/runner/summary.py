@@ -8,7 +8,6 @@ from typing import Any
 import pyarrow as pa
 
 from evaluator.records import Ledger
-from evaluator.runner.config import EvaluationConfig
 from evaluator.runner.plan import Plan
 from evaluator.runner.tally import tally, unfinished
 
@@ -18,7 +17,6 @@ PHASES = ("observe", "infer", "simulate", "audit", "total")
 
 
 def summarise(
-    config: EvaluationConfig,
     plan: Plan,
     ledger: Ledger,
     table: pa.Table,
@@ -30,7 +28,6 @@ def summarise(
 
     Parameters
     ----------
-    config : EvaluationConfig
     plan : Plan
     ledger : Ledger
     table : pyarrow.Table
@@ -47,7 +44,7 @@ def summarise(
     dict
         What ``tally`` counts, and what the rows do not tell. ``unfinished`` episodes have no result: the run is
         partial. ``seconds`` and ``episodes_per_second`` are sums over the segments that ended in an orderly way;
-        ``engine`` and ``workers`` are those of the last segment.
+        ``engine`` and ``workers`` are those of the last segment, null where nothing was recorded.
     """
     numbers = tally(table, plan.steps)
     seconds, rate = _time(header["segments"])
@@ -55,11 +52,11 @@ def summarise(
     identity = header["identity"]
     last = header["segments"][-1] if header["segments"] else {}
     return {
-        "task": config.task,
-        "split": config.split,
-        "policy": config.policy.name,
+        "task": identity["task"],
+        "split": identity["split"],
+        "policy": header["policy"]["name"],
         "privileged": header["policy"].get("privileged"),
-        "protocol": config.protocol,
+        "protocol": identity["protocol"],
         **numbers,
         "unfinished": unfinished(plan, table),
         "policy_error_reasons": dict(sorted(faults.items())),
@@ -67,8 +64,8 @@ def summarise(
         "audit": audit,
         "seconds": seconds,
         "episodes_per_second": rate,
-        "engine": last.get("engine", config.engine),
-        "workers": last.get("workers", config.workers),
+        "engine": last.get("engine"),
+        "workers": last.get("workers"),
         "segments": len(header["segments"]),
         "policy_digest": identity["policy_digest"],
         "protocol_hash": identity["protocol_hash"],
