@@ -106,7 +106,7 @@ def reporter(progress: StderrProgress, what: str, updates: int) -> Report:
     def report(update: int, facts: dict[str, Any]) -> None:
         if "resumed" in facts:
             progress.note(f"{what}: goes on after update {update:,} of {updates:,}")
-            progress.advance(update)
+            progress.resume(update)
         elif "auc" in facts:
             skills = ", ".join(f"{name} {entry['auc']:.3f}" for name, entry in facts["skills"].items())
             progress.note(

@@ -46,7 +46,7 @@ class StderrProgress:
         self._bars = Progress(*columns, TimeRemainingColumn(elapsed_when_finished=True), console=self._console)
         self._bar: TaskID | None = None
         self._live = self._console.is_terminal
-        self._name, self._total, self._done = "", 0, 0
+        self._name, self._total, self._done, self._before = "", 0, 0, 0
         self._began = self._line = time.monotonic()
         self._handler = RichHandler(console=self._console, show_path=False, show_time=False, markup=False)
 
@@ -67,7 +67,7 @@ class StderrProgress:
     def phase(self, name: str, total: int) -> None:
         """A phase of ``total`` items begins."""
         self._end_phase()
-        self._name, self._total, self._done = name, total, 0
+        self._name, self._total, self._done, self._before = name, total, 0, 0
         self._began = self._line = time.monotonic()
         if self._live:
             self._bar = self._bars.add_task(name, total=total)
@@ -81,6 +81,12 @@ class StderrProgress:
             self._line = time.monotonic()
             self._write_line()
 
+    def resume(self, n: int) -> None:
+        """So many items were done by an earlier process: they are no work of this phase's seconds."""
+        self._done = self._before = n
+        if self._bar is not None:
+            self._bars.reset(self._bar, completed=n)
+
     def note(self, text: str) -> None:
         """Something worth a line."""
         self._console.print(text, markup=False, highlight=False)
@@ -92,5 +98,5 @@ class StderrProgress:
 
     def _write_line(self) -> None:
         seconds = time.monotonic() - self._began
-        rate = f", {self._done / seconds:,.1f}/s" if seconds > 0 else ""
+        rate = f", {(self._done - self._before) / seconds:,.1f}/s" if seconds > 0 else ""
         self.note(f"{self._name}: {self._done}/{self._total} in {seconds:.1f} s{rate}")
