@@ -11,6 +11,8 @@ from typing import Any
 
 import pytest
 
+from evaluator.scenarios import VERSION
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -101,7 +103,7 @@ def test_the_plain_recipe_agrees_on_most_grasps(tmp_path: Path) -> None:
 def test_a_whole_run_against_bare_stepping(tmp_path: Path) -> None:
     environment = {"REMA_MANIFESTS": str(tmp_path / "manifests"), "REMA_HOME": str(tmp_path / "home")}
     (tmp_path / "manifests").mkdir()
-    words = ("scenarios", "v1", "--task", "grasp", "--test", "60", "--val", "5")
+    words = ("scenarios", VERSION, "--task", "grasp", "--test", "60", "--val", "5")
     command = [sys.executable, "-m", "evaluator.cli", *words]
     subprocess.run(command, cwd=ROOT, env={**os.environ, **environment}, check=True, capture_output=True, timeout=300)
     words = ("--tasks", "grasp", "--policies", "scripted", "--episodes", "60", "--sample", "20")

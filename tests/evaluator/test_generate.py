@@ -67,7 +67,7 @@ def test_tools_that_a_policy_picked(manifests: Path, tmp_path: Path, monkeypatch
     code = tmp_path / "pickers.py"
     code.write_text(PICKERS)
     picker = Picker(resolve(f"{code}:Clumsy"), None, tmp_path / "log")
-    write_lists("v1", ("push",), {"test": 2, "val": 1}, 1)
+    write_lists(VERSION, ("push",), {"test": 2, "val": 1}, 1)
     listed = []
     for version, workers in (("a", 1), ("b", 2)):
         write_lists(version, ("grasp_push", "push"), {"test": 3, "val": 1}, workers, picker=picker)
@@ -78,8 +78,10 @@ def test_tools_that_a_policy_picked(manifests: Path, tmp_path: Path, monkeypatch
     assert sum(item["redrawn"] for item in listed[0].values()) > 0
     for scenario in load_list("grasp_push", version="a").scenarios:
         assert len(scenario.grips) == 1 and scenario.grips[0].spec == scenario.placements[0].spec
-    assert listed[0]["push/test"]["file"] == "../v1/push_test.parquet"  # no tools: the list of the present version
-    assert load_list("push", version="a").scenarios == load_list("push", version="v1").scenarios
+    assert (
+        listed[0]["push/test"]["file"] == f"../{VERSION}/push_test.parquet"
+    )  # no tools: the list of the present version
+    assert load_list("push", version="a").scenarios == load_list("push", version=VERSION).scenarios
 
     monkeypatch.setattr("evaluator.picked.LIMIT", 2)
     with pytest.raises(PolicyFailureError, match="failed on 2 objects in a row"):

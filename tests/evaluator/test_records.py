@@ -12,7 +12,7 @@ import pytest
 from evaluator.engines import InfraError
 from evaluator.episodes import episodes_table, timings_table, to_parquet, verdict
 from evaluator.records import Answered, Ledger, Simulated
-from evaluator.scenarios import load_list
+from evaluator.scenarios import VERSION, load_list
 from rema_data.errors import IntegrityError, StorageError
 from rema_data.schema import Failure, StepOutcome
 
@@ -116,7 +116,7 @@ def test_tables(fake_home: Path) -> None:
     assert table.column("step0_action").to_pylist() == [33_000, 33_001, 33_002, None, None, None]
     assert table.column("step0_lift_m").to_pylist()[0] == 0.1 + 0.2
     assert table.column("step0_success").to_pylist()[3] is False
-    assert table.column("scenario").to_pylist()[5] == "v1/grasp/test/00005"
+    assert table.column("scenario").to_pylist()[5] == f"{VERSION}/grasp/test/00005"
 
     other = Ledger(fake_home / "other", 7)
     other.add_outcomes([Simulated(4, 0, InfraError("hung", "other words"), 1.0, "w3", 2)])

@@ -21,7 +21,7 @@ def test_round_trip_is_exact(task: str, tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path))
     loaded = load_list(task)
     assert loaded.scenarios == tuple(fake_scenario(task, index) for index in range(30))
-    assert scenario_id(loaded.version, loaded.scenarios[7]) == f"v1/{task}/test/00007"
+    assert scenario_id(loaded.version, loaded.scenarios[7]) == f"{VERSION}/{task}/test/00007"
 
 
 def test_missing_tools_stay_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -45,7 +45,7 @@ def test_bytes_are_a_function_of_the_scenarios() -> None:
 
 
 def test_damage_is_noticed(fake_home: Path) -> None:
-    path = fake_home / "manifests" / "scenarios" / "v1" / "grasp_test.parquet"
+    path = fake_home / "manifests" / "scenarios" / VERSION / "grasp_test.parquet"
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
     path.write_bytes(data)
@@ -54,7 +54,7 @@ def test_damage_is_noticed(fake_home: Path) -> None:
 
 
 def test_absence_is_said_with_a_remedy(fake_home: Path) -> None:
-    (fake_home / "manifests" / "scenarios" / "v1" / "grasp_test.parquet").unlink()
+    (fake_home / "manifests" / "scenarios" / VERSION / "grasp_test.parquet").unlink()
     with pytest.raises(MissingFileError, match="git checkout"):
         load_list("grasp")
     with pytest.raises(InputError, match="grasp_grasp_push/test"):
@@ -66,8 +66,8 @@ def test_absence_is_said_with_a_remedy(fake_home: Path) -> None:
 def test_a_manifest_has_one_version(fake_home: Path) -> None:
     path = fake_home / "manifests" / "scenarios" / VERSION / "manifest.json"
     with pytest.raises(InputError, match="immutable"):
-        update_manifest(path, "v2", "push/test", file="f", sha256="0", count=1, seed_domain="x")
-    assert json.loads(path.read_text())["version"] == "v1"
+        update_manifest(path, "v9", "push/test", file="f", sha256="0", count=1, seed_domain="x")
+    assert json.loads(path.read_text())["version"] == VERSION
 
 
 @pytest.mark.parametrize("text", ["{", "{}", "[]"])

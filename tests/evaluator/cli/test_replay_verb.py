@@ -19,6 +19,7 @@ from cryptography.hazmat.primitives.serialization import (
 import evaluator.replay.play
 from evaluator.cli.main import cli
 from evaluator.runner import run_evaluation
+from evaluator.scenarios import VERSION
 from tests.evaluator.fakes import fake_backend, fake_config
 
 
@@ -59,7 +60,7 @@ def test_a_tampered_run(run: Path) -> None:
     spoil(run)
     result = replay()
     assert result.exit_code == 6
-    assert "actions.bin" in result.stdout and "row 0 (v1/grasp/test/00000)" in result.stdout.replace("\n", " ")
+    assert "actions.bin" in result.stdout and f"row 0 ({VERSION}/grasp/test/00000)" in result.stdout.replace("\n", " ")
     assert "nothing is wrong" not in result.stdout
     shown = replay("--json")
     assert shown.exit_code == 6
@@ -118,7 +119,7 @@ def test_the_proof_of_an_episode(run: Path) -> None:
     assert made.exit_code == 0
     Path("proof.json").write_text(made.stdout)
     good = rema("proof", "proof.json", "--root", root)
-    assert good.exit_code == 0 and good.stdout.startswith("v1/grasp/test/00031 is part of the run")
+    assert good.exit_code == 0 and good.stdout.startswith(f"{VERSION}/grasp/test/00031 is part of the run")
     assert json.loads(rema("proof", "proof.json", "--root", root, "--json").stdout)["index"] == 31
     Path("bent.json").write_text(made.stdout.replace('"index": 31', '"index": 32'))
     bent = rema("proof", "bent.json", "--root", root)

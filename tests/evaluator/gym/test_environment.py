@@ -14,7 +14,7 @@ import pytest
 
 from evaluator.policy import resolve
 from evaluator.runner import EvaluationConfig, run_evaluation
-from evaluator.scenarios import load_list, scenario_id
+from evaluator.scenarios import VERSION, load_list, scenario_id
 from evaluator.sim.observation import observe
 from evaluator.sim.reach import valid_actions
 from rema_data.errors import InputError
@@ -135,12 +135,12 @@ def test_the_test_list_is_met_only_by_name() -> None:
         _, info = environment.reset(seed=seed)
         assert info["scenario"] == ""
         assert environment.unwrapped._scenario.placements not in frozen
-    assert environment.reset(options={"scenario": 4})[1]["scenario"] == "v1/push/val/00004"
-    name = scenario_id("v1", load_list("push", "test").scenarios[4])
+    assert environment.reset(options={"scenario": 4})[1]["scenario"] == f"{VERSION}/push/val/00004"
+    name = scenario_id(VERSION, load_list("push", "test").scenarios[4])
     assert environment.reset(options={"scenario": name})[1]["scenario"] == name
     validation = made("push", domain="val")
     names = {validation.reset(seed=seed)[1]["scenario"] for seed in range(10)}
-    assert len(names) > 5 and all(name.startswith("v1/push/val/") for name in names)
+    assert len(names) > 5 and all(name.startswith(f"{VERSION}/push/val/") for name in names)
 
 
 def test_nothing_is_told_before_the_step() -> None:
@@ -226,7 +226,7 @@ def test_what_cannot_be_made(changes: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize(
-    "options", [{"scenario": 2000}, {"scenario": -1}, {"scenario": "v1/push/val/00001"}, {"scenarios": 3}]
+    "options", [{"scenario": 2000}, {"scenario": -1}, {"scenario": f"{VERSION}/push/val/00001"}, {"scenarios": 3}]
 )
 def test_scenarios_that_are_not_there(options: dict[str, Any]) -> None:
     with pytest.raises(InputError):

@@ -21,6 +21,7 @@ from evaluator.evidence.check import read_evidence
 from evaluator.replay import ReplayReport, replay, sign
 from evaluator.runner import run_evaluation
 from evaluator.runner.tally import tally
+from evaluator.scenarios import VERSION
 from evaluator.statistics import clopper_pearson
 from rema_data import grid
 from rema_data.errors import (
@@ -125,7 +126,7 @@ def test_a_false_row_is_found_though_everything_is_sealed_anew(
     assert read_evidence(run).findings == ()
     report = play(run)
     assert [finding.file for finding in report.findings] == ["episodes.parquet"]
-    assert report.findings[0].where == "row 60 (v1/grasp/test/00060)"
+    assert report.findings[0].where == f"row 60 ({VERSION}/grasp/test/00060)"
     assert column in report.findings[0].detail
     assert report.different_rows == 1 and report.different_ci95 == (1 / EPISODES, 1 / EPISODES)
 
@@ -158,7 +159,7 @@ def test_an_action_that_may_not_be_taken_is_found(copy_of: Copy) -> None:
     table = with_value(pq.read_table(run / "episodes.parquet"), "step0_action", 9, 5)
     seal_anew(run, table)
     places = {(finding.file, finding.where) for finding in play(run).findings}
-    assert ("actions.bin", "row 9 (v1/grasp/test/00009), step 0") in places
+    assert ("actions.bin", f"row 9 ({VERSION}/grasp/test/00009), step 0") in places
 
 
 def test_a_tampered_action_log_is_not_played(copy_of: Copy) -> None:

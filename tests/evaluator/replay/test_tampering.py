@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from evaluator.episodes import to_parquet
 from evaluator.evidence.check import read_evidence
 from evaluator.evidence.proof import check_proof, make_proof
+from evaluator.scenarios import VERSION
 from rema_data.errors import InputError, IntegrityError, MissingFileError
 
 from .conftest import EPISODES, with_value
@@ -78,14 +79,14 @@ def test_a_byte_of_the_action_log_names_episode_and_step(copy_of: Copy) -> None:
     run = copy_of("long")
     flip(run / "actions.bin", 2 * (4 * 17 + 0))
     (finding,) = read_evidence(run).findings
-    assert (finding.file, finding.where) == ("actions.bin", "row 17 (v1/grasp_grasp_push/test/00017), step 0")
+    assert (finding.file, finding.where) == ("actions.bin", f"row 17 ({VERSION}/grasp_grasp_push/test/00017), step 0")
     assert "episodes.parquet says action" in finding.detail
 
 
 def test_a_byte_of_the_leaves_names_the_row(copy_of: Copy) -> None:
     run = copy_of("short")
     flip(run / "leaves.bin", 32 * 40 + 5)
-    assert places(run, "leaves.bin") == ["row 40 (v1/grasp/test/00040)"]
+    assert places(run, "leaves.bin") == [f"row 40 ({VERSION}/grasp/test/00040)"]
 
 
 @pytest.mark.parametrize(
@@ -96,7 +97,7 @@ def test_a_changed_value_names_the_row(copy_of: Copy, column: str, value: object
     table = pq.read_table(run / "episodes.parquet")
     (run / "episodes.parquet").write_bytes(to_parquet(with_value(table, column, 31, value)))
     found = places(run, "episodes.parquet")
-    assert found[0] == "row 31 (v1/grasp/test/00031)" and all(where.startswith("row 31 ") for where in found)
+    assert found[0] == f"row 31 ({VERSION}/grasp/test/00031)" and all(where.startswith("row 31 ") for where in found)
     assert places(run, "actions.bin") == []
 
 
@@ -107,7 +108,10 @@ def test_rows_that_are_gone_or_swapped(copy_of: Copy) -> None:
     assert any(f"has {EPISODES - 1} rows" in finding.detail for finding in read_evidence(run).findings)
     order = [0, 2, 1, *range(3, EPISODES)]
     (run / "episodes.parquet").write_bytes(to_parquet(table.take(pa.array(order))))
-    assert places(run, "episodes.parquet")[:2] == ["row 1 (v1/grasp/test/00002)", "row 2 (v1/grasp/test/00001)"]
+    assert places(run, "episodes.parquet")[:2] == [
+        f"row 1 ({VERSION}/grasp/test/00002)",
+        f"row 2 ({VERSION}/grasp/test/00001)",
+    ]
 
 
 @pytest.mark.parametrize("part", ["identity", "policy", "segments"])
@@ -135,7 +139,7 @@ def test_one_episode_is_proved_without_the_run(home: Path) -> None:
     proof = json.loads(json.dumps(make_proof(home / "long", 77)))
     assert len(proof["path"]) <= 7
     row = check_proof(proof, root)
-    assert row["scenario"] == "v1/grasp_grasp_push/test/00077"
+    assert row["scenario"] == f"{VERSION}/grasp_grasp_push/test/00077"
     for other in ({**proof, "row": {**row, "success": not row["success"]}}, {**proof, "position": 76}):
         with pytest.raises(IntegrityError, match="not part of the run"):
             check_proof(other, root)
