@@ -6,21 +6,13 @@ cd "$(dirname "$0")/.."
 results=benchmarks/results
 
 rema scenarios v1 # lists that are already there are kept
-for task in grasp push grasp_push grasp_grasp grasp_grasp_push; do
-  for policy in random scripted; do
-    rema evaluate "$policy" --task "$task" --workers 2
-  done
-done
 python benchmarks/calibrate.py --json $results/calibration.json
 python benchmarks/sensitivity.py --episodes 200 --json $results/sensitivity.json
-python benchmarks/calibration_report.py --runs runs/*-conditional
-
 python benchmarks/sim_throughput.py --json $results/sim_throughput.json
 python benchmarks/shortcuts.py --json $results/shortcuts.json
 python benchmarks/memory.py --json $results/memory.json
 python benchmarks/determinism.py --episodes 60 --others 400 --json $results/determinism.json
 python benchmarks/byte_identity.py --episodes 100 --json $results/byte_identity.json
-python benchmarks/full_run.py --runs runs/*-conditional --json $results/full_run.json
 
 rema collect manifests/plans/rema-sample.toml # releases that are already there are kept
 rema collect manifests/plans/rema-mini.toml
@@ -31,13 +23,43 @@ python benchmarks/read.py --json $results/read.json # pip install minari==0.5.4 
 python benchmarks/download.py --json $results/download.json # with nginx on the path
 python benchmarks/robomimic_reader.py --json $results/robomimic_reader.json # pip install robomimic, see the script
 
-rema rounds manifests/plans/rema-v0.toml # stages that are done are kept
+rema rounds manifests/plans/rema-v0.toml --register # stages that are done are kept
+networks=releases/checkpoints/rema-v0
+rema scenarios v2 --picker tae --checkpoint $networks/round-2 --device openvino
+
+tasks="grasp push grasp_push grasp_grasp"
+for task in $tasks; do
+  for policy in random scripted tae-separate tae-joint; do
+    rema evaluate $policy --task $task --device openvino
+    case $task in *_*) rema evaluate $policy --task $task --device openvino --protocol end-to-end ;; esac
+  done
+done
+for policy in random scripted; do
+  rema evaluate $policy --task grasp_grasp_push
+done
 for round in 1 2; do
-  rema evaluate tae --checkpoint "releases/checkpoints/rema-v0/round-$round" --task grasp \
-    --output "runs/round-$round-grasp-conditional"
+  rema evaluate tae --checkpoint $networks/round-$round --task grasp --device openvino \
+    --output runs/round-$round-grasp-conditional
+done
+for task in $tasks; do
+  rema evaluate tae-joint --checkpoint $networks/round-3 --task $task --device openvino \
+    --output runs/round-3-$task-conditional
 done
 python benchmarks/baselines.py --maps --runs runs/*
+python benchmarks/calibration_report.py --runs runs/{random,scripted}-*-conditional
+python benchmarks/full_run.py --runs runs/{random,scripted}-*-conditional --json $results/full_run.json
+for run in runs/{random,scripted,tae-separate,tae-joint}-*; do
+  rema submit "$run" --output "manifests/leaderboard/$(basename "$run").json"
+done
+python benchmarks/leaderboard.py
 python benchmarks/train.py --json $results/train.json
 python benchmarks/infer.py --checkpoint releases/checkpoints/rema-v0/joint --runtimes --json $results/infer.json
+
+python benchmarks/isolation.py --run runs/random-grasp-conditional --json $results/isolation.json
+python benchmarks/kills.py --json $results/kills.json
+python benchmarks/coverage.py --json $results/coverage.json
+python benchmarks/report_page.py --run runs/random-grasp-conditional --json $results/report_page.json # with Chromium
+python benchmarks/scaling.py --json $results/scaling.json
+python benchmarks/scaling_report.py
 python benchmarks/report.py
 python benchmarks/gallery.py

@@ -81,7 +81,7 @@ def find_scenario(task: str, index: int, split: str, protocol: str) -> Scenario:
     Raises
     ------
     InputError
-        The list is not that long, or the scenario has no reference tools for the conditional protocol.
+        The list is not that long, or the scenario has no tools in hand for the conditional protocol.
     MissingFileError, IntegrityError
         The list cannot be read.
     """

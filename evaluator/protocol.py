@@ -15,7 +15,7 @@ __all__ = ["PROTOCOLS", "protocol", "protocol_hash"]
 
 PROTOCOLS: dict[str, str] = {
     "conditional": (
-        "Only the last step is played, with the reference tools of the scenario in hand: every policy faces the same "
+        "Only the last step is played, with the tools of the scenario in hand: every policy faces the same "
         "situations. The rate is that of the last step."
     ),
     "end-to-end": (

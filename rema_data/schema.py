@@ -209,7 +209,7 @@ class Situation:
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """One frozen episode: an object for every step, and the reference tools-in-hand of the conditional protocol.
+    """One frozen episode: an object for every step, and the tools in hand of the conditional protocol.
 
     Attributes
     ----------
@@ -232,7 +232,7 @@ class Scenario:
     pinch: Pinch | None = None
 
     def last_situation(self) -> Situation:
-        """The last step, with the reference tools in hand (conditional protocol)."""
+        """The last step, with the scenario's tools in hand (conditional protocol)."""
         return Situation(self.task, len(self.placements) - 1, self.placements[-1], self.grips, self.pinch)
 
     def first_situation(self) -> Situation:

@@ -41,7 +41,7 @@ class Plan:
         self.steps = tuple(range(count)) if self.end_to_end else (count - 1,)
 
     def eligible(self, scenario: Scenario) -> bool:
-        """Whether the protocol can be run on ``scenario``: the conditional one needs the reference tools in hand."""
+        """Whether the protocol can be run on ``scenario``: the conditional one needs its tools in hand."""
         if self.end_to_end:
             return True
         has_pinch = scenario.pinch is not None
