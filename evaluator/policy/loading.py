@@ -8,6 +8,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from evaluator.policy.imports import own_modules
 from rema_data.errors import InputError, MissingFileError
 
 __all__ = ["BUILT_INS", "OWN_PREFIX", "PolicySpec", "check_checkpoint", "digest", "resolve"]
@@ -106,9 +107,10 @@ def check_checkpoint(checkpoint: Path | None) -> Path | None:
 
 
 def digest(spec: PolicySpec, checkpoint: Path | None) -> str:
-    """Identity of a policy: sha256 over its class name, its code file and its weights, hexadecimal.
+    """Identity of a policy: sha256 over its class name, its code and its weights, hexadecimal.
 
-    Modules that the file imports are not covered. A checkpoint folder counts with all its files, in sorted order.
+    The code is the file and the modules of its own folder, or package, that it imports. A checkpoint folder counts with
+    all its files, in sorted order.
 
     Raises
     ------
@@ -118,7 +120,8 @@ def digest(spec: PolicySpec, checkpoint: Path | None) -> str:
     if not spec.path.is_file():
         raise MissingFileError(f"policy file {spec.path} does not exist", hint="check the path", path=spec.path)
     total = hashlib.sha256(spec.class_name.encode())
-    total.update(_file_digest(spec.path))
+    for path in (spec.path, *own_modules(spec.path)):
+        total.update(_file_digest(path))
     weights = check_checkpoint(checkpoint)
     if weights is not None:
         files = sorted(path for path in weights.rglob("*") if path.is_file()) if weights.is_dir() else [weights]

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from evaluator.policy import BUILT_INS, PolicyHost, digest, resolve
+from evaluator.policy.imports import own_modules
 from rema_data.errors import InputError, MissingFileError
 
 from .batches import make_batch
@@ -66,3 +67,34 @@ def test_modules_beside_the_policy_can_be_imported(write_policy: WritePolicy, tm
     with PolicyHost(write_policy("good[:, 2] = my_helper.ANGLE\nreturn good", top="import my_helper"), None) as host:
         answers = host.act(make_batch(2))
     assert all(isinstance(answer, int) and answer % 16 == 5 for answer in answers)
+
+
+def test_the_digest_covers_what_the_code_imports_from_its_folder(tmp_path: Path) -> None:
+    """And what that imports; neither installed packages nor files that nothing imports."""
+    for name, text in {
+        "mine.py": "import numpy\nfrom parts import head\nclass Policy: pass\n",
+        "parts/__init__.py": "",
+        "parts/head.py": "from . import body\nfrom .deep.tail import length\n",
+        "parts/body.py": "size = 1\n",
+        "parts/deep/tail.py": "length = 1\n",
+        "parts/deep/__init__.py": "",
+        "other.py": "not even Python (\n",
+    }.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    spec = resolve(str(tmp_path / "mine.py"))
+    before = digest(spec, None)
+    (tmp_path / "other.py").write_text("changed = 1\n")
+    assert digest(spec, None) == before
+    for name in ("parts/head.py", "parts/body.py", "parts/deep/tail.py", "parts/__init__.py"):
+        kept = (tmp_path / name).read_text()
+        (tmp_path / name).write_text(kept + "# changed\n")
+        assert digest(spec, None) != before, name
+        (tmp_path / name).write_text(kept)
+    assert digest(spec, None) == before
+
+
+def test_the_digest_of_a_learned_baseline_covers_its_network() -> None:
+    names = {path.name for path in own_modules(resolve("tae").path)}
+    assert {"network.py", "scoring.py", "correlation.py"} <= names
+    assert "schema.py" not in names

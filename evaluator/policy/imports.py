@@ -1,0 +1,66 @@
+"""Which other files a policy's code consists of: the modules of its own folder that it imports, read and not run."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+__all__ = ["own_modules"]
+
+_PRODUCT = ("rema_data", "evaluator")
+"""Packages that the run's other digests speak for, wherever they lie."""
+
+
+def own_modules(file: Path) -> list[Path]:
+    """Files that ``file`` imports from its own folder, or from its own package, and what these import; sorted.
+
+    An import that is computed when it runs is not seen, and a file that is no Python has none.
+
+    Parameters
+    ----------
+    file : Path
+        Absolute.
+    """
+    root = file.parent
+    while (root / "__init__.py").is_file():
+        root = root.parent
+    found: set[Path] = set()
+    waiting = [file]
+    while waiting:
+        at = waiting.pop()
+        for name in _imported(at, root):
+            for path in _files_of(name, root):
+                if path != file and path not in found:
+                    found.add(path)
+                    waiting.append(path)
+    return sorted(found)
+
+
+def _imported(file: Path, root: Path) -> Iterator[str]:
+    """Absolute names of everything that a file may import; a name in it may be a module or something inside of one."""
+    try:
+        tree = ast.parse(file.read_bytes())
+    except (SyntaxError, ValueError):
+        return
+    package = file.parent.relative_to(root).parts
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            above = package[: len(package) - node.level + 1] if node.level else ()
+            base = ".".join([*above, *([node.module] if node.module else [])])
+            yield base
+            yield from (f"{base}.{alias.name}" if base else alias.name for alias in node.names)
+
+
+def _files_of(name: str, root: Path) -> Iterator[Path]:
+    """The module of a name below ``root``, with the packages around it."""
+    parts = name.split(".")
+    if parts[0] in _PRODUCT or not all(part.isidentifier() for part in parts):
+        return
+    for length in range(1, len(parts) + 1):
+        place = root.joinpath(*parts[:length])
+        for path in (place / "__init__.py", place.with_suffix(".py")):
+            if path.is_file():
+                yield path
