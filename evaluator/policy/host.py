@@ -80,7 +80,7 @@ class PolicyHost:
         self._output = CappedOutput(log, self._limits.log_head_bytes, self._limits.log_tail_bytes)
         self._child: ChildProcess | None = None
         self._isolation: Isolation | None = None
-        self._privileged = False
+        self._privileged: bool | None = None
         self._asked = 0
         self._waited_s = 0.0  # for processes that are gone
         self._overdrawn: PolicyFault | None = None
@@ -91,7 +91,7 @@ class PolicyHost:
     @property
     def privileged(self) -> bool:
         """Whether the policy is shown the ground truth; known after entering."""
-        return self._privileged
+        return self._privileged is True
 
     @property
     def isolation(self) -> Isolation:
@@ -251,7 +251,12 @@ class PolicyHost:
         if header.get("ok") is not True:
             message = printable(header.get("message", "could not be loaded"))
             raise self._refusal(message, printable(header.get("where", "")), printable(header.get("traceback", "")))
-        self._privileged = header.get("privileged") is True
+        found = header.get("privileged") is True
+        if self._privileged not in (None, found):
+            # What the run says of the policy was taken from its first process.
+            was, now = (f"`privileged` {value}" for value in (self._privileged, found))
+            raise self._refusal(f"started again it has {now}, at first it had {was}")
+        self._privileged = found
 
     def _enclose(self, child: ChildProcess) -> None:
         """Have the walls put up; nothing of the policy was read before."""

@@ -232,6 +232,23 @@ class Remembers(Hostile):
         return answer(len(observations), before)
 
 
+class FlipsPrivilege(Hostile):
+    """Asks for the ground truth from its second process on, and dies whenever it is asked without."""
+
+    privileged = False
+
+    def __init__(self, checkpoint: Path | None, device: str) -> None:
+        super().__init__(checkpoint, device)
+        assert checkpoint is not None
+        FlipsPrivilege.privileged = checkpoint.read_text() != ""
+        checkpoint.write_text("started before")  # behind the walls it would have to guess, by the clock for instance
+
+    def act(self, observations: Any, situations: Any = ()) -> np.ndarray:
+        if not situations:
+            os._exit(1)
+        return answer(len(observations), 15)
+
+
 class Erratic(Hostile):
     """Fails in another way on every eighth scene or so, and always in the same way on the same scene."""
 

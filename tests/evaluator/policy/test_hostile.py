@@ -21,7 +21,7 @@ from rema_data import grid
 from rema_data.errors import SubmissionError
 from tests.evaluator.fakes import fake_backend, fake_config
 from tests.evaluator.policy import hostile
-from tests.evaluator.policy.batches import make_batch
+from tests.evaluator.policy.batches import make_batch, make_situation
 from tests.evaluator.policy.test_host_answers import reasons
 
 PATIENT = PolicyLimits(start_s=60, batch_s=30, single_s=30)
@@ -140,6 +140,19 @@ def test_what_it_remembers_is_gone_with_its_process() -> None:
         assert successes(host.act(make_batch(1))) == {0}
     with PolicyHost(policy("Remembers"), None, "cpu", PATIENT) as host:
         assert successes(host.act(make_batch(1))) == {0}
+
+
+def test_privilege_is_not_gained_by_a_restart(tmp_path: Path) -> None:
+    notes = tmp_path / "notes"
+    notes.write_text("")
+    situation = make_situation()
+    with PolicyHost(policy("FlipsPrivilege"), notes, "cpu", PATIENT, walls=False) as host:
+        assert not host.privileged
+        assert reasons(host.act(make_batch(1), (situation,))) == ["died"]
+        (answer,) = host.act(make_batch(1), (situation,))
+        assert isinstance(answer, PolicyFault) and answer.reason == "restart"
+        assert "`privileged` True, at first it had `privileged` False" in answer.detail
+        assert not host.privileged
 
 
 def test_nothing_in_a_question_tells_which_scenario_it_is() -> None:
