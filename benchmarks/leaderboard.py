@@ -35,6 +35,8 @@ NOTE = (
 def section() -> str:
     """The text between the markers: one table for each protocol that has a row."""
     board = leaderboard(find_entries())
+    for error in board.refused:
+        raise error
     parts = []
     for protocol in PROTOCOLS:
         header, lines = matrix(board, protocol)

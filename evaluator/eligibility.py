@@ -10,7 +10,12 @@ from evaluator.scenarios import SPLITS, VERSION, manifest_path
 from evaluator.scored import ScoredRun
 from rema_data.errors import IntegrityError
 
-__all__ = ["Obstacle", "infra_limit", "installed_list", "obstacles"]
+__all__ = ["ACTION_FLIP_LIMIT", "Obstacle", "infra_limit", "installed_list", "obstacles"]
+
+
+ACTION_FLIP_LIMIT = 0.05
+"""Largest share of the repeated questions that may be answered otherwise: rounding does that to a few. A policy whose
+answers depend on what it was asked before, or in which order, does it to most, and has no rank."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +95,12 @@ def obstacles(run: ScoredRun) -> list[Obstacle]:
     if run.audit is not None and run.audit.outcome_flips:
         flips = f"{run.audit.outcome_flips} of {run.audit.outcomes}"
         found.append(Obstacle("audit", "0 outcome flips", flips, f"{flips} repeated outcomes flipped"))
+    if run.audit is not None and run.audit.action_flips > ACTION_FLIP_LIMIT * run.audit.actions:
+        flips = f"{run.audit.action_flips} of {run.audit.actions}"
+        limit = f"at most {ACTION_FLIP_LIMIT:.0%} action flips"
+        found.append(Obstacle("actions", limit, flips, f"{flips} repeated questions answered otherwise"))
+    if run.audit is None and not run.stopped_early:
+        found.append(Obstacle("audit", "repeats of a share of the run", "none", "never repeated"))
     if run.outcomes is None:
         found.append(Obstacle("episodes.parquet", "there", "missing", "no outcomes by scenario"))
     return found

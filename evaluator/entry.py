@@ -230,6 +230,7 @@ def _entry(content: dict[str, Any], path: Path) -> Entry:
         audit=_audit(content["audit"]),
         outcomes=outcomes,
         link=check_link(policy["link"]),
+        isolation=str(content["provenance"].get("isolation") or ""),
     )
     return Entry(run, content["provenance"], *evidence)
 

@@ -31,6 +31,7 @@ COLUMNS = (
     "z",
     "errors",
     "failures",
+    "walls",
 )
 """Titles of ``cells``."""
 _IN_TITLE = ("task", "protocol")
@@ -67,6 +68,7 @@ def cells(row: Row) -> tuple[str, ...]:
         "" if row.z is None else f"{row.z:+.1f}",
         ", ".join(errors),
         ", ".join(f"{label} {count}" for label, count in failures[:3]),
+        row.isolation,
     )
 
 

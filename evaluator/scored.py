@@ -137,6 +137,8 @@ class ScoredRun:
         None where only a summary is there: such a run cannot be paired.
     link : str
         Where to read about the policy; empty for run folders.
+    isolation : str
+        Level of the walls around the policy while it was asked; empty where it was not noted.
     """
 
     source: Path
@@ -154,6 +156,7 @@ class ScoredRun:
     audit: Audit | None = None
     outcomes: Outcomes | None = None
     link: str = ""
+    isolation: str = ""
 
     @property
     def tag(self) -> str:
@@ -232,6 +235,7 @@ def _from_summary(summary: dict[str, Any], folder: Path) -> ScoredRun:
         unfinished=int(summary.get("unfinished") or 0),
         nondeterministic=int(summary.get("nondeterministic") or 0),
         audit=audit_of(summary.get("audit")),
+        isolation=str(summary.get("isolation") or ""),
     )
 
 

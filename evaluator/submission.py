@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evaluator.eligibility import obstacles
+from evaluator.eligibility import ACTION_FLIP_LIMIT, obstacles
 from evaluator.entry import Entry, check_link, check_name
+from evaluator.evidence.header import isolation_level
 from evaluator.policy.loading import BUILT_INS, OWN_PREFIX
 from evaluator.scenarios import VERSION
 from evaluator.scored import ScoredRun, acting_steps, read_run
@@ -31,6 +32,8 @@ _RANKING = (
     ("unfinished", "0"),
     ("infra_errors", "within the limit"),
     ("nondeterministic", "0"),
+    ("audit", "repeats, and no outcome that flipped"),
+    ("actions", f"at most {ACTION_FLIP_LIMIT:.0%} of the repeated questions answered otherwise"),
 )
 _DIGESTS = ("policy_digest", "protocol_hash", "scenarios_hash")
 _SHA256 = re.compile(r"[0-9a-f]{64}")
@@ -132,8 +135,6 @@ def _checks(run: ScoredRun, evidence: Evidence) -> Iterator[Check]:
         yield Check(
             what, obstacle is None, obstacle.wanted if obstacle else wanted, obstacle.found if obstacle else "ok"
         )
-    flipped = run.audit is None or run.audit.outcome_flips > 0
-    yield Check("audit", not flipped, "repeats, and no outcome that flipped", str(run.audit) if flipped else "ok")
     yield from _identity(run, evidence.header)
     yield from _statistics(run, evidence)
 
@@ -187,11 +188,11 @@ def _same(found: Any, wanted: Any) -> bool:
 
 def _provenance(header: Mapping[str, Any]) -> dict[str, Any]:
     """Versions and machine of the last process that wrote in the run, as far as they are noted."""
-    segments = header.get("segments") or [{}]
+    segments = header["segments"] or [{}]
     last = segments[-1]
-    versions, machine, isolation = _part(last, "versions"), _part(last, "machine"), _part(last, "isolation")
+    versions, machine = _part(last, "versions"), _part(last, "machine")
     found = {name: versions.get(name) for name in _VERSIONS}
     found |= {name: machine.get(name) for name in ("system", "architecture", "processor")}
     found |= {name: last.get(name) for name in ("commit", "dirty", "engine")}
-    found |= {"isolation": isolation.get("level"), "segments": len(segments)}
+    found |= {"isolation": isolation_level(header), "segments": len(segments)}
     return {name: value if isinstance(value, str | int) else None for name, value in found.items()}

@@ -18,11 +18,12 @@ __all__ = ["print_board"]
 _STYLES = {"published": "dim", "privileged": "magenta", "random": "blue"}
 _IN_TITLE = ("task", "protocol")
 _NUMBERS = ("rank", "k/n", "rate %", "z")
-_GIVEN_UP = ("failures", "errors", "funnel %", "z", "end-to-end %", "rank", "tag", "ties")
+_GIVEN_UP = ("failures", "walls", "errors", "funnel %", "z", "end-to-end %", "rank", "tag", "ties")
 """Columns that a narrow terminal does without, the first one first."""
 _FOLDED = {"policy": 24, "failures": 18, "errors": 14}
 """Columns that may be folded, to this width."""
 _GAP = 3
+_LOUD = ("ANOTHER SIMULATOR", "LEFT OUT")
 
 
 def print_board(board: Board) -> None:
@@ -34,7 +35,7 @@ def print_board(board: Board) -> None:
     for title, rows in titled_groups(board):
         console.print(_table(title, rows, console.width))
     for remark in board.remarks:
-        console.print(Text(remark, style="bold red" if remark.startswith("ANOTHER SIMULATOR") else "dim"))
+        console.print(Text(remark, style="bold red" if remark.startswith(_LOUD) else "dim"))
 
 
 def _table(title: str, rows: Sequence[Row], width: int) -> Table:

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from rema_data.errors import MissingFileError
+
 __all__ = ["leaderboard"]
 
 
@@ -21,7 +23,8 @@ def leaderboard(runs: tuple[Path, ...], form: str | None, as_json: bool, entries
     """Compare RUNS in one table, with 95 % intervals and letters for those that do not differ beyond chance.
 
     RUNS are run folders of `rema evaluate` and entries of `rema submit`; by default all run folders below runs/.
-    Only runs over the full test list have a rank.
+    Only runs over the full test list have a rank. A run that is not finished, or damaged, is left out and named; where
+    one is damaged, the exit code says so.
     """
     from evaluator.entry import find_entries
     from evaluator.export import export
@@ -36,3 +39,6 @@ def leaderboard(runs: tuple[Path, ...], form: str | None, as_json: bool, entries
         from evaluator.cli.board import print_board
 
         print_board(board)
+    for error in board.refused:
+        if not isinstance(error, MissingFileError):
+            raise error

@@ -58,6 +58,8 @@ def _facts(summary: dict[str, Any]) -> Table:
         table.add_row("quick look", Text(_look(summary["stopped_early"])))
     if summary.get("audit"):
         table.add_row("repeated", audit_text(summary["audit"]))
+    if summary.get("isolation"):
+        table.add_row("walls", Text(f"isolation {summary['isolation']}"))
     if summary["protocol"] == "end-to-end":
         for step in summary.get("funnel", ()):
             passed = format_rate(step["succeeded"], step["attempted"])

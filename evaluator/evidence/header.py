@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,11 @@ from evaluator.policy.loading import BUILT_INS
 from rema_data.errors import IntegrityError, MissingFileError
 from rema_data.storage import storage_errors
 
-__all__ = ["RUN_FILE", "RUN_FORMAT", "encode_header", "read_header", "resume_command"]
+__all__ = ["RUN_FILE", "RUN_FORMAT", "encode_header", "isolation_level", "read_header", "resume_command"]
 
 RUN_FILE = "run.json"
 RUN_FORMAT = 1
-_FIELDS = {"format": int, "identity": dict, "policy": dict, "episodes": int, "segments": list}
+_FIELDS = {"format": int, "identity": dict, "policy": dict, "episodes": int, "salt": str, "segments": list}
 _OPTIONAL = {"seal": dict}
 
 
@@ -60,6 +61,13 @@ def read_header(folder: Path) -> tuple[dict[str, Any], bytes]:
             path=str(path),
         )
     return header, payload
+
+
+def isolation_level(header: Mapping[str, Any]) -> str | None:
+    """The lowest level of isolation among the processes that asked the policy; None where one of them noted none."""
+    noted = [segment["isolation"] for segment in header["segments"] if "isolation" in segment]
+    levels = [one.get("level") if isinstance(one, dict) else None for one in noted]
+    return min((str(level) for level in levels), default=None) if all(levels) else None
 
 
 def resume_command(header: dict[str, Any], folder: Path) -> str:

@@ -11,6 +11,7 @@ from evaluator.leaderboard.ranking import LEVEL, Pair, rank_runs
 from evaluator.leaderboard.row import PUBLISHED, Row, published_rows, row_of
 from evaluator.scored import ScoredRun
 from evaluator.statistics import detectable_difference
+from rema_data.errors import RemaError
 from rema_data.schema import TASKS
 
 __all__ = ["PUBLISHED_REMARK", "Board", "find_runs", "leaderboard"]
@@ -32,10 +33,13 @@ class Board:
         Task by task and protocol by protocol: ranked and published rows by rate, then the others by rate.
     remarks : tuple of str
         What the rows mean, and which of them do not compare.
+    refused : tuple of RemaError
+        Why a source is not among the rows; each is a remark as well.
     """
 
     rows: tuple[Row, ...]
     remarks: tuple[str, ...]
+    refused: tuple[RemaError, ...] = ()
 
 
 def leaderboard(sources: Sequence[Path], published: bool = True) -> Board:
@@ -48,14 +52,18 @@ def leaderboard(sources: Sequence[Path], published: bool = True) -> Board:
     published : bool
         Add the paper's rows: of the tasks that the sources are about, or of all where there is no source.
 
+    Returns
+    -------
+    Board
+        A source that is unfinished or damaged is left out, and said to be.
+
     Raises
     ------
-    MissingFileError
-        A run has no summary, or there is no such entry.
-    InputError, IntegrityError
-        A summary cannot be read; an entry or a table of outcomes is damaged.
+    MissingFileError, InputError, IntegrityError
+        No source can be read at all: what is wrong with the first one.
     """
-    runs = _once([read_scored(source) for source in sources])
+    read, refused = _read(sources)
+    runs = _once(read)
     standings, pairs = rank_runs(runs)
     whole = {
         _policy(run): run.counts.successes / run.counts.eligible
@@ -70,7 +78,21 @@ def leaderboard(sources: Sequence[Path], published: bool = True) -> Board:
         tasks = {row.task for row in rows} or set(TASKS)
         rows += [row for row in published_rows() if row.task in tasks]
     rows.sort(key=_place)
-    return Board(tuple(rows), tuple(_remarks(rows, pairs)))
+    left_out = [f"LEFT OUT: {error.message} ({error.hint})" for error in refused]
+    return Board(tuple(rows), (*left_out, *_remarks(rows, pairs)), refused)
+
+
+def _read(sources: Sequence[Path]) -> tuple[list[ScoredRun], tuple[RemaError, ...]]:
+    """The runs that can be read, and why the others cannot."""
+    runs, refused = [], []
+    for source in sources:
+        try:
+            runs.append(read_scored(source))
+        except RemaError as error:
+            refused.append(error)
+    if refused and not runs:
+        raise refused[0]
+    return runs, tuple(refused)
 
 
 def find_runs(folder: Path) -> list[Path]:

@@ -59,6 +59,8 @@ class Row:
     source : str
         The run folder or the entry.
     link : str
+    isolation : str
+        Level of the walls around the policy; empty where it was not noted, and if published.
     """
 
     policy: str
@@ -87,6 +89,7 @@ class Row:
     fingerprint: str = ""
     source: str = ""
     link: str = ""
+    isolation: str = ""
 
 
 def row_of(run: ScoredRun, **standing: Any) -> Row:
@@ -120,6 +123,7 @@ def row_of(run: ScoredRun, **standing: Any) -> Row:
         fingerprint=json.dumps(marks.fingerprint, sort_keys=True) if marks.fingerprint else "",
         source=str(run.source),
         link=run.link,
+        isolation=run.isolation,
         **standing,
     )
 

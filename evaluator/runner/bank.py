@@ -57,13 +57,13 @@ class Block:
         effector = self.which[position]
         return Observation(self.scenes[position], self.depths[effector], self.masks[effector])
 
-    def arrays(self, rows: slice) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    def arrays(self, rows: Sequence[int]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         """Scene float32 (n, 64, 64) and end effector float32 (n, 112, 112, 4) of some rows, as a policy sees them."""
-        which = self.which[rows]
+        which = self.which[list(rows)]
         scenes = np.empty((len(which), *_SCENE), np.float32)
         effectors = np.empty((len(which), grid.EE_PIXELS, grid.EE_PIXELS, 4), np.float32)
         made: dict[int, npt.NDArray[np.float32]] = {}
-        for n, position in enumerate(range(*rows.indices(len(self)))):
+        for n, position in enumerate(rows):
             seen = self.observation(position)
             scenes[n] = seen.scene_m()
             effector = int(which[n])

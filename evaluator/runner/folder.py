@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import secrets
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -53,6 +54,11 @@ class RunFolder:
     def segment(self) -> int:
         """Number under which this process writes, or would."""
         return len(self.header["segments"]) + (0 if self._begun else 1)
+
+    @property
+    def salt(self) -> str:
+        """What the order of the questions depends on: drawn for this folder, told to no policy."""
+        return str(self.header["salt"])
 
     @staticmethod
     @contextmanager
@@ -126,9 +132,10 @@ class RunFolder:
         self.header["episodes"] = episodes
 
     def begin_segment(self, **facts: Any) -> None:
-        """Note in ``run.json`` that this process is about to write; once."""
+        """Note in ``run.json`` that this process is about to write; once. A summary of before is none any more."""
         if self._begun:
             return
+        (self.path / SUMMARY_FILE).unlink(missing_ok=True)
         self.header["segments"].append({"number": self.segment, **environment(), **facts})
         self._begun = True
         self.save()
@@ -188,5 +195,6 @@ def _header(path: Path, identity: Mapping[str, Any]) -> dict[str, Any]:
         "identity": json.loads(json.dumps(dict(identity))),
         "policy": {},
         "episodes": 0,
+        "salt": secrets.token_hex(16),
         "segments": [],
     }

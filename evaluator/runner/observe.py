@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -9,7 +10,7 @@ from evaluator.runner.bank import ObservationBank
 from evaluator.runner.config import ProgressSink
 from rema_data.schema import Situation
 
-__all__ = ["Batch", "batches", "observe_batches"]
+__all__ = ["Batch", "batches", "observe_batches", "shuffled"]
 
 _BLOCK = 512
 
@@ -21,21 +22,21 @@ class Batch:
     Attributes
     ----------
     indices : tuple of int
-        Scenario indices.
+        Scenario indices, in the order in which they are asked about.
     block : tuple of Situation
         All situations of the block, which name it in the bank.
-    rows : slice
-        Of this batch in the block.
+    rows : tuple of int
+        Of these scenarios in the block.
     """
 
     indices: tuple[int, ...]
     block: tuple[Situation, ...]
-    rows: slice
+    rows: tuple[int, ...]
 
     @property
     def situations(self) -> tuple[Situation, ...]:
         """Situations of this batch."""
-        return self.block[self.rows]
+        return tuple(self.block[row] for row in self.rows)
 
 
 def batches(alive: Mapping[int, Situation], batch_size: int) -> list[Batch]:
@@ -53,9 +54,36 @@ def batches(alive: Mapping[int, Situation], batch_size: int) -> list[Batch]:
     for start in range(0, len(indices), size):
         block = situations[start : start + size]
         for row in range(0, len(block), batch_size):
-            rows = slice(row, min(row + batch_size, len(block)))
-            found.append(Batch(indices[start + rows.start : start + rows.stop], block, rows))
+            rows = tuple(range(row, min(row + batch_size, len(block))))
+            found.append(Batch(tuple(indices[start + one] for one in rows), block, rows))
     return found
+
+
+def shuffled(wanted: Sequence[Batch], salt: str) -> list[Batch]:
+    """The same questions in an order that only the run knows: no policy can tell a scenario by counting.
+
+    Which scenarios share a question does not change. Batches of one block stay together.
+
+    Parameters
+    ----------
+    wanted : sequence of Batch
+        As ``batches`` makes them.
+    salt : str
+        Drawn for the run. What is left of ``wanted`` after an interruption keeps its order.
+    """
+
+    def rank(what: object) -> bytes:
+        return hashlib.blake2b(repr(what).encode(), digest_size=16, key=salt.encode()).digest()
+
+    def mixed(batch: Batch) -> Batch:
+        pairs = sorted(zip(batch.indices, batch.rows, strict=True), key=lambda pair: rank(pair[0]))
+        return Batch(tuple(index for index, _ in pairs), batch.block, tuple(row for _, row in pairs))
+
+    blocks: dict[tuple[Situation, ...], list[Batch]] = {}
+    for batch in wanted:
+        blocks.setdefault(batch.block, []).append(batch)
+    in_order = sorted(blocks, key=lambda block: rank(block[0]))
+    return [mixed(batch) for block in in_order for batch in sorted(blocks[block], key=lambda one: rank(one.indices[0]))]
 
 
 def observe_batches(bank: ObservationBank, wanted: Sequence[Batch], progress: ProgressSink) -> None:

@@ -15,11 +15,14 @@ import pyarrow as pa
 
 from evaluator.comparison import check_comparable, paired_outcomes
 from evaluator.evidence.header import RUN_FILE, read_header
+from evaluator.evidence.seal import SUMMARY_FILE
 from evaluator.runner.backend import Backend
 from evaluator.runner.config import EvaluationConfig, EvaluationResult, ProgressSink
 from evaluator.runner.run import run_evaluation
-from evaluator.scored import read_run
+from evaluator.scenarios import load_list
+from evaluator.scored import ScoredRun, read_run
 from evaluator.statistics import QuickLook
+from rema_data.errors import InputError
 
 __all__ = ["FIRST_LOOK", "quick_evaluation"]
 
@@ -53,7 +56,8 @@ def quick_evaluation(
     Raises
     ------
     InputError
-        The other run does not compare: it is of another task, split, protocol or scenario list.
+        The other run does not compare: it is of another task, split, protocol or scenario list. Or the folder holds
+        a run to the end, which a look would take its rank.
     MissingFileError
         The other run has no outcomes.
     RemaError
@@ -70,7 +74,14 @@ def quick_evaluation(
                 break
         return {"against": reference.policy, **test.result().to_dict()}
 
+    _check_reference(reference, config)
     recorded = read_header(config.output)[0]["episodes"] if (config.output / RUN_FILE).exists() else 0
+    if (config.output / SUMMARY_FILE).exists() and not read_run(config.output).stopped_early:
+        raise InputError(
+            f"{config.output} holds a run that was no quick look",
+            hint=f"compare the two: rema compare {config.output} {against}; or choose another folder with --output",
+            path=str(config.output),
+        )
     for episodes in _lengths(max(FIRST_LOOK, recorded), config.episodes):
         result = run_evaluation(
             replace(config, episodes=episodes, audit_share=0.0), progress, backend=backend, look=look
@@ -79,6 +90,26 @@ def quick_evaluation(
         if result.summary["stopped_early"]["decided_at"] is not None:
             break
     return result
+
+
+def _check_reference(reference: ScoredRun, config: EvaluationConfig) -> None:
+    """Raise before anything is played where the two runs will not compare."""
+    listed = load_list(config.task, config.split)
+    mine = {"task": config.task, "split": config.split, "protocol": config.protocol, "scenarios_hash": listed.sha256}
+    theirs = {
+        "task": reference.task,
+        "split": reference.split,
+        "protocol": reference.protocol,
+        "scenarios_hash": reference.marks.scenarios_hash,
+    }
+    for field, value in mine.items():
+        if theirs[field] != value:
+            raise InputError(
+                f"{reference.source} does not compare: its {field} is {theirs[field] or 'not recorded'}, "
+                f"here it is {value}",
+                hint="give a run of the same task, split and protocol, made with this version's scenario lists",
+                field=field,
+            )
 
 
 def _lengths(first: int, last: int) -> Iterator[int]:

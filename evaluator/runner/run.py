@@ -21,7 +21,7 @@ from evaluator.runner.config import EvaluationConfig, EvaluationResult, Progress
 from evaluator.runner.ending import seal_run, write_tables
 from evaluator.runner.folder import RunFolder
 from evaluator.runner.infer import check_faults, infer_batches
-from evaluator.runner.observe import batches, observe_batches
+from evaluator.runner.observe import batches, observe_batches, shuffled
 from evaluator.runner.plan import Plan
 from evaluator.runner.simulate import INFRA_LIMIT, check_infrastructure, pending_jobs, simulate_jobs
 from evaluator.runner.summary import PHASES
@@ -207,6 +207,7 @@ class _Run:
             for batch in batches(alive, config.batch_size)
             if any((index, step) not in self.ledger.answers for index in batch.indices)
         ]
+        wanted = shuffled(wanted, self.folder.salt)
         if config.order == "reverse":
             wanted.reverse()
         # Situations of later end-to-end steps come from the policy's own picks: of no use to any other run.

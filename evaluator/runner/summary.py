@@ -7,6 +7,7 @@ from typing import Any
 
 import pyarrow as pa
 
+from evaluator.evidence.header import isolation_level
 from evaluator.records import Ledger
 from evaluator.runner.plan import Plan
 from evaluator.runner.tally import tally, unfinished
@@ -62,6 +63,7 @@ def summarise(
         "policy_error_reasons": dict(sorted(faults.items())),
         "nondeterministic": len(ledger.contradictions),
         "audit": audit,
+        "isolation": isolation_level(header),
         "seconds": seconds,
         "episodes_per_second": rate,
         "engine": last.get("engine"),

@@ -119,6 +119,7 @@ def write_run(
         "identity": {"task": task, "split": split, "protocol": protocol, **marks},
         "policy": {"name": policy, "file": f"{policy}.py", "class_name": "Policy", "privileged": privileged},
         "episodes": count,
+        "salt": "5",
         "segments": [{"number": 1, "versions": {"rema": "0.1.0"}, "commit": None, "dirty": None, "engine": "process"}],
     }
     leaves = row_leaves(table)

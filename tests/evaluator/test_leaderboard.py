@@ -15,6 +15,7 @@ from evaluator.leaderboard import Board, Row, leaderboard, published_rows
 from evaluator.leaderboard.ranking import LEVEL
 from evaluator.statistics import holm, midp_mcnemar, pair_table
 from evaluator.submission import make_entry
+from rema_data.errors import IntegrityError, MissingFileError
 
 from .runs import AUDIT, EPISODES, Bools, solved, write_manifests, write_run
 
@@ -103,6 +104,8 @@ def test_privileged_rows_have_letters_but_neither_take_nor_give_a_rank(write: Wr
         ({"unfinished": 5}, "5 episodes not finished"),
         ({"nondeterministic": 1}, "steps with two outcomes"),
         ({"audit": {**AUDIT, "outcome_flips": 2}}, "2 of 30 repeated outcomes flipped"),
+        ({"audit": {**AUDIT, "action_flips": 9}}, "9 of 30 repeated questions answered otherwise"),
+        ({"audit": None}, "never repeated"),
     ],
 )
 def test_runs_without_a_rank_are_shown_and_say_why(write: Write, changes: dict[str, Any], reason: str) -> None:
@@ -190,3 +193,20 @@ def test_no_episode_no_rate(write: Write) -> None:
 def test_an_empty_board_has_the_papers_rows() -> None:
     assert {row.tag for row in leaderboard([]).rows} == {"published"}
     assert leaderboard([], published=False) == Board((), ())
+
+
+def test_a_source_that_cannot_be_read_is_left_out_and_named(write: Write) -> None:
+    good, damaged, unfinished = (write(name, solved(0.5, 1)) for name in ("good", "damaged", "unfinished"))
+    (damaged / "episodes.parquet").write_bytes(b"nothing")
+    (unfinished / "summary.json").unlink()
+    board = leaderboard([damaged, good, unfinished], published=False)
+    assert [row.policy for row in board.rows] == ["good"]
+    assert [type(error) for error in board.refused] == [IntegrityError, MissingFileError]
+    assert len([text for text in board.remarks if text.startswith("LEFT OUT")]) == 2
+    with pytest.raises(IntegrityError, match="damaged"):
+        leaderboard([damaged, unfinished])
+
+
+def test_the_walls_around_a_policy_are_shown(write: Write) -> None:
+    board = leaderboard([write("mine", solved(0.5, 1), isolation="L2")], published=False)
+    assert rows(board)["mine"].isolation == "L2"

@@ -12,11 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
+from evaluator.eligibility import obstacles
 from evaluator.records import Ledger
 from evaluator.runner import run_evaluation
 from evaluator.runner.audit import LEAST_EPISODES
+from evaluator.scored import read_run
 from evaluator.statistics import clopper_pearson
 from rema_data.errors import InputError, PolicyFailureError
 from rema_data.schema import Situation, StepOutcome
@@ -99,6 +102,17 @@ def test_a_policy_that_is_no_function_of_the_observation_shows(fake_home: Path, 
     assert audit["action_flips"] > audit["actions"] / 2
     assert audit["outcome_flips"] == 0  # the recorded actions are simulated, not the new ones
     assert len(audit["flipped"]) == 10 and audit["flipped"][0]["what"] == "action"
+
+
+def test_a_policy_that_counts_its_questions_does_not_know_the_scenario(fake_home: Path) -> None:
+    """It has a table of actions by the order of the list; two runs ask in two orders, and neither has a rank."""
+    actions = []
+    for name in ("one", "two"):
+        audited(fake_home / name, Remembering, episodes=300)
+        run = read_run(fake_home / name)
+        assert "actions" in [obstacle.what for obstacle in obstacles(run)]
+        actions.append(pq.read_table(fake_home / name / "episodes.parquet")["step0_action"].to_numpy())
+    assert (actions[0] != actions[1]).mean() > 0.9
 
 
 def test_a_world_that_depends_on_its_process_shows(fake_home: Path) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from evaluator.runner.bank import ObservationBank
-from evaluator.runner.observe import batches
+from evaluator.runner.observe import batches, shuffled
 from rema_data.schema import Observation, Situation
 from tests.evaluator.fakes import fake_observe, fake_scenario
 
@@ -71,7 +71,7 @@ def test_damaged_files_are_rebuilt(tmp_path: Path, seen: Counting, damage: str) 
 
 def test_arrays_are_what_a_policy_sees(tmp_path: Path) -> None:
     block = ObservationBank(tmp_path, fake_observe, "code").load(SITUATIONS)
-    scenes, effectors = block.arrays(slice(5, 12))
+    scenes, effectors = block.arrays(range(5, 12))
     assert scenes.dtype == effectors.dtype == np.float32
     for n, situation in enumerate(SITUATIONS[5:12]):
         want = fake_observe(situation)
@@ -87,3 +87,18 @@ def test_batches_are_fixed_by_position(size: int, alive: int) -> None:
     assert {len(batch.indices) for batch in found[:-1]} == {size}
     for batch in found:
         assert batch.situations == tuple(situations[index] for index in batch.indices)
+
+
+def test_questions_are_shuffled_by_the_salt_and_keep_their_companions() -> None:
+    """What a resume has left to ask comes in the order that it had; scenarios that are asked together stay together."""
+    situations = {n: fake_scenario("grasp", n).last_situation() for n in range(200)}
+    found = batches(situations, 7)
+    asked = shuffled(found, "salt")
+    assert {frozenset(batch.indices) for batch in asked} == {frozenset(batch.indices) for batch in found}
+    for batch in asked:
+        assert batch.situations == tuple(situations[index] for index in batch.indices)
+    order = [index for batch in asked for index in batch.indices]
+    assert order != list(situations) and any(list(batch.indices) != sorted(batch.indices) for batch in asked)
+    assert order != [index for batch in shuffled(found, "other") for index in batch.indices]
+    left = [batch for batch in found if batch.indices[0] % 2]
+    assert shuffled(left, "salt") == [batch for batch in asked if min(batch.indices) % 2]

@@ -65,6 +65,14 @@ def test_the_run_goes_on_without_a_look_and_is_whole_then(tmp_path: Path, refere
 def test_runs_that_do_not_compare_are_refused(tmp_path: Path, reference: Path) -> None:
     with pytest.raises(InputError, match="task is"):
         look(tmp_path / "long", reference, FakeSimulator, task="grasp_grasp_push")
+    assert not (tmp_path / "long").exists()  # it is known before anything is played
     (reference / "episodes.parquet").unlink()
     with pytest.raises(MissingFileError):
         look(tmp_path / "other", reference, FakeSimulator)
+
+
+def test_a_run_to_the_end_keeps_its_rank(tmp_path: Path, reference: Path) -> None:
+    whole = run_evaluation(fake_config(tmp_path / "whole", engine="inline"), backend=fake_backend(digest="other"))
+    with pytest.raises(InputError, match="no quick look"):
+        look(tmp_path / "whole", reference, FakeSimulator)
+    assert json.loads((tmp_path / "whole" / "summary.json").read_text()) == whole.summary
