@@ -5,25 +5,22 @@ from __future__ import annotations
 import json
 import math
 import shutil
-import subprocess
 import time
 from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from baselines.tae.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from baselines.tae.checkpoint import Checkpoint
 from baselines.tae.network import TaeNetwork
 from baselines.train.config import TrainingConfig
 from baselines.train.data import open_data, prepared
+from baselines.train.result import DIVERGED, DivergedError, Trained, save_best, trained
 from baselines.train.state import TrainingState, read_state, write_state
 from baselines.train.validation import pixel_logits, validate
 from rema_data.augment import Augment
-from rema_data.errors import RemaError, RunMismatchError
 from rema_data.loader.release import Release
 from rema_data.storage import write_atomic
 
@@ -33,54 +30,6 @@ _MOMENTS = ("exp_avg", "exp_avg_sq")
 _BETAS = (0.9, 0.95)
 """Of Adam, as AdaGrasp has them."""
 Report = Callable[[int, dict[str, Any]], None]
-
-
-class DivergedError(RemaError, ArithmeticError):
-    """The loss is not a number any more."""
-
-    exit_code = 1
-
-
-@dataclass(frozen=True, slots=True)
-class Trained:
-    """What came of a training.
-
-    Attributes
-    ----------
-    folder : Path
-    name : str
-    checkpoint : Checkpoint
-    already : bool
-        It was there before.
-    """
-
-    folder: Path
-    name: str
-    checkpoint: Checkpoint
-    already: bool
-
-
-def trained(release: Release, config: TrainingConfig, folder: Path, name: str) -> Trained | None:
-    """The finished training of this configuration and data in ``folder``, if it is there.
-
-    Raises
-    ------
-    RunMismatchError
-        A finished network of that name is there, of another configuration or other data.
-    IntegrityError
-        It is damaged.
-    """
-    if not (folder / f"{name}.json").exists():
-        return None
-    _, about = load_checkpoint(folder / name)
-    wanted = json.loads(json.dumps(config.to_dict()))
-    if about.release_sha256 != release.fingerprint or about.training != wanted:
-        raise RunMismatchError(
-            f"{folder / name} is a network of another training (release {about.release}, {about.updates:,} updates)",
-            hint="choose another --output or --name",
-            path=str(folder / name),
-        )
-    return Trained(folder, name, about, already=True)
 
 
 def train(
@@ -119,7 +68,8 @@ def train(
     RunMismatchError
         The folder holds another training under the name.
     DivergedError
-        The loss is NaN or infinite. The best weights so far are written.
+        The loss is NaN or infinite. The best weights so far are kept in the folder ``diverged`` below ``folder``; the
+        training does not count as done.
     StorageError
         The disk is full.
     """
@@ -220,11 +170,13 @@ class _Training:
         where = self.update - len(losses) + first + 1
         kept = "none was good enough to keep"
         if self.best is not None:
-            self.write_best()
-            kept = f"the best weights so far are those after update {self.best['update']}: {self.folder / self.name}"
+            self.save_best(self.folder / DIVERGED)
+            where_kept = self.folder / DIVERGED / self.name
+            kept = f"the best weights so far, those after update {self.best['update']}, are kept as {where_kept}"
         raise DivergedError(
             f"the loss of update {where} is not a number; {kept}",
-            hint="train with a smaller learning rate, or another seed",
+            hint="train with a smaller learning rate, or another seed: choose another --output for it, or delete "
+            f"{self.work}",
             update=where,
         )
 
@@ -284,36 +236,11 @@ class _Training:
         if self.report is not None:
             self.report(self.update, {"resumed": self.update})
 
-    def write_best(self) -> Checkpoint:
+    def save_best(self, folder: Path) -> Checkpoint:
         assert self.best is not None
-        config = self.config
-        about = Checkpoint(
-            primitive=config.primitive,
-            skills=config.learned_skills,
-            architecture=config.architecture,
-            release=self.release.name,
-            release_sha256=self.release.fingerprint,
-            training=json.loads(json.dumps(config.to_dict())),
-            metrics={key: value for key, value in self.best.items() if key != "update"},
-            updates=self.best["update"],
-            commit=_commit(),
-        )
-        return save_checkpoint(self.folder, self.name, self.best_weights, about)
+        return save_best(self.release, self.config, folder, self.name, self.best_weights, self.best)
 
     def finish(self) -> Trained:
-        about = self.write_best()
+        about = self.save_best(self.folder)
         shutil.rmtree(self.work, ignore_errors=True)
         return Trained(self.folder, self.name, about, already=False)
-
-
-def _commit() -> str:
-    """Commit of the checkout that this package lies in, with ``+`` where files differ from it; else empty."""
-
-    def git(*words: str) -> str:
-        done = subprocess.run(["git", *words], cwd=here, capture_output=True, text=True, check=True, timeout=10)
-        return done.stdout.strip()
-
-    here = Path(__file__).resolve().parent
-    with suppress(OSError, subprocess.SubprocessError):
-        return git("rev-parse", "HEAD") + ("+" if git("status", "--porcelain", "-uno") else "")
-    return ""

@@ -16,11 +16,11 @@ import pytest
 import torch
 
 import rema_data
-from baselines.tae.checkpoint import load_checkpoint
+from baselines.tae.checkpoint import load_checkpoint, networks_in
 from baselines.train import loop
 from baselines.train.config import TrainingConfig
 from baselines.train.loop import DivergedError, train, trained
-from rema_data.errors import RunMismatchError
+from rema_data.errors import MissingFileError, RunMismatchError
 from tests.baselines.train.conftest import tree
 
 ROOT = Path(__file__).parents[3]
@@ -123,10 +123,17 @@ def test_a_loss_that_is_no_number(
     monkeypatch.setattr(loop, "pixel_logits", poisoned)
     with pytest.raises(DivergedError, match=f"update {at} is not a number") as caught:
         train(release, config, tmp_path, "grasp")
-    assert "learning rate" in caught.value.hint
-    assert (tmp_path / "grasp.json").exists() == kept
+    assert "learning rate" in caught.value.hint and str(tmp_path / ".grasp.training") in caught.value.hint
+    assert not (tmp_path / "grasp.json").exists() and trained(release, config, tmp_path, "grasp") is None
     if kept:
-        assert load_checkpoint(tmp_path / "grasp")[1].updates == 3
+        assert str(tmp_path / "diverged" / "grasp") in caught.value.message
+        assert load_checkpoint(tmp_path / "diverged" / "grasp")[1].updates == 3
+        with pytest.raises(MissingFileError):
+            networks_in(tmp_path)
+    else:
+        assert "none was good enough" in caught.value.message and not (tmp_path / "diverged").exists()
+    done = train(release, config, tmp_path, "grasp")  # without the poison, from the last state
+    assert not done.already and set(networks_in(tmp_path)) == {"grasp"}
 
 
 def test_one_seed_one_network(release: rema_data.Release, config: TrainingConfig, tmp_path: Path) -> None:

@@ -1,0 +1,123 @@
+"""What comes of a training: a network with its card, or the best weights of one that diverged."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from baselines.tae.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from baselines.train.config import TrainingConfig
+from rema_data.errors import RemaError, RunMismatchError
+from rema_data.loader.release import Release
+
+__all__ = ["DIVERGED", "DivergedError", "Trained", "save_best", "trained"]
+
+DIVERGED = "diverged"
+"""Folder, below that of the networks, of what was kept of trainings that failed: no policy takes it for a network."""
+
+
+class DivergedError(RemaError, ArithmeticError):
+    """The loss, or the network itself, is not a number any more."""
+
+    exit_code = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Trained:
+    """What came of a training.
+
+    Attributes
+    ----------
+    folder : Path
+    name : str
+    checkpoint : Checkpoint
+    already : bool
+        It was there before.
+    """
+
+    folder: Path
+    name: str
+    checkpoint: Checkpoint
+    already: bool
+
+
+def trained(release: Release, config: TrainingConfig, folder: Path, name: str) -> Trained | None:
+    """The finished training of this configuration and data in ``folder``, if it is there.
+
+    Raises
+    ------
+    RunMismatchError
+        A finished network of that name is there, of another configuration or other data.
+    IntegrityError
+        It is damaged.
+    """
+    if not (folder / f"{name}.json").exists():
+        return None
+    _, about = load_checkpoint(folder / name)
+    wanted = json.loads(json.dumps(config.to_dict()))
+    if about.release_sha256 != release.fingerprint or about.training != wanted:
+        raise RunMismatchError(
+            f"{folder / name} is a network of another training (release {about.release}, {about.updates:,} updates)",
+            hint="choose another --output or --name",
+            path=str(folder / name),
+        )
+    return Trained(folder, name, about, already=True)
+
+
+def save_best(
+    release: Release,
+    config: TrainingConfig,
+    folder: Path,
+    name: str,
+    weights: Mapping[str, Tensor],
+    best: Mapping[str, Any],
+) -> Checkpoint:
+    """Write the best weights of a training, with their card.
+
+    Parameters
+    ----------
+    release, config
+        What it was trained on, and how.
+    folder, name
+        As in ``save_checkpoint``.
+    weights : mapping of str to Tensor
+    best : mapping
+        What validation said of them, with the ``update`` after which it did.
+
+    Raises
+    ------
+    StorageError
+        The disk is full or may not be written.
+    """
+    about = Checkpoint(
+        primitive=config.primitive,
+        skills=config.learned_skills,
+        architecture=config.architecture,
+        release=release.name,
+        release_sha256=release.fingerprint,
+        training=json.loads(json.dumps(config.to_dict())),
+        metrics={key: value for key, value in best.items() if key != "update"},
+        updates=best["update"],
+        commit=_commit(),
+    )
+    return save_checkpoint(folder, name, weights, about)
+
+
+def _commit() -> str:
+    """Commit of the checkout that this package lies in, with ``+`` where files differ from it; else empty."""
+
+    def git(*words: str) -> str:
+        done = subprocess.run(["git", *words], cwd=here, capture_output=True, text=True, check=True, timeout=10)
+        return done.stdout.strip()
+
+    here = Path(__file__).resolve().parent
+    with suppress(OSError, subprocess.SubprocessError):
+        return git("rev-parse", "HEAD") + ("+" if git("status", "--porcelain", "-uno") else "")
+    return ""
