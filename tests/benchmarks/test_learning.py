@@ -37,7 +37,10 @@ def test_inference(tmp_path: Path) -> None:
     words = ("--checkpoint", str(tmp_path / "networks"), "--tasks", "grasp,grasp_grasp", "--scenarios", "16")
     rows = measured(tmp_path, "infer", *words, "--repeats", "1")["numbers"]["found"]
     assert [(row["task"], row["of"]) for row in rows] == [("grasp", 16), ("grasp_grasp", 16)]
-    assert all(row["equal"] >= 15 for row in rows)  # rounding may decide a tie
+    for row in rows:
+        assert "ours" in row["ways"] and set(row["speeds"]) == {"plain", *row["ways"]}
+        for way in row["ways"].values():
+            assert way["equal"] + len(way["others"]) == 16 and way["equal"] >= 15  # rounding may decide a tie
 
 
 def test_the_page_of_the_baselines_is_made_from_what_is_committed(tmp_path: Path) -> None:
