@@ -14,7 +14,7 @@ from typing import Any
 
 from baselines.rounds.behaviour import BehaviourPolicies
 from baselines.rounds.chunk import CHUNK_EPISODES, EncodedChunk, cut
-from baselines.rounds.plan import CollectionPlan
+from baselines.rounds.planned import CollectionPlan
 from baselines.rounds.play import BATCH, Player
 from baselines.rounds.work import WorkFolder, work_path
 from evaluator.engines import Engine, make_engine

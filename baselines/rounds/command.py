@@ -12,7 +12,7 @@ import click
 if TYPE_CHECKING:
     from baselines.rounds.collect import Collected
     from baselines.rounds.estimate import Estimate
-    from baselines.rounds.plan import BlockPlan
+    from baselines.rounds.planned import BlockPlan
 
 __all__ = ["collect"]
 

@@ -35,12 +35,12 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 from typing import Any
 
-from evaluator.policy.loading import PolicySpec, check_checkpoint, resolve
+from baselines.rounds.planned import BlockPlan, CollectionPlan, PolicyUse
+from evaluator.policy.loading import check_checkpoint, resolve
 from evaluator.policy.shipped import shipped_checkpoint
 from rema_data.errors import InputError, MissingFileError, RemaError
 from rema_data.release.licences import KNOWN_LICENCES
@@ -49,71 +49,12 @@ from rema_data.release.seal import Description
 from rema_data.schema import TASKS
 from rema_data.store.block import SPLITS, BlockKey
 
-__all__ = ["BlockPlan", "CollectionPlan", "PolicyUse", "load_plan", "read_plan", "read_toml"]
+__all__ = ["load_plan", "read_plan", "read_toml"]
 
 _MAX_EPISODES = 2**31 - 1
 _TEXTS = ("name", "title", "description", "license", "citation")
 _TOP = (*_TEXTS, "published", "seed", "sources", "parent", "rounds")
 _DEFAULTS = ("policy", "picks", "episodes")
-
-
-@dataclass(frozen=True, slots=True)
-class PolicyUse:
-    """A behaviour policy: its code, weights and device.
-
-    Attributes
-    ----------
-    spec : PolicySpec
-    checkpoint : Path or None
-    device : str
-    """
-
-    spec: PolicySpec
-    checkpoint: Path | None = None
-    device: str = "cpu"
-
-
-@dataclass(frozen=True, slots=True)
-class BlockPlan:
-    """What one block is to hold.
-
-    Attributes
-    ----------
-    key : BlockKey
-    episodes : int
-    policies : tuple of PolicyUse
-        Of every step of the task.
-    """
-
-    key: BlockKey
-    episodes: int
-    policies: tuple[PolicyUse, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class CollectionPlan:
-    """A plan whose every value is known to be usable.
-
-    Attributes
-    ----------
-    path : Path
-        Of the file.
-    about : Description
-    seed : int
-    blocks : tuple of BlockPlan
-        To be played, in the order of the file.
-    reused : tuple of int
-        Rounds taken from the parent.
-    parent : str or None
-        Name or folder of a release.
-    """
-
-    path: Path
-    about: Description
-    seed: int
-    blocks: tuple[BlockPlan, ...]
-    reused: tuple[int, ...] = ()
-    parent: str | None = None
 
 
 def load_plan(path: Path) -> CollectionPlan:
@@ -129,7 +70,7 @@ def load_plan(path: Path) -> CollectionPlan:
     return read_plan(read_toml(path), path)
 
 
-def read_plan(content: dict[str, Any], path: Path) -> CollectionPlan:
+def read_plan(content: dict[str, Any], path: Path, *, networks_later: bool = False) -> CollectionPlan:
     """Check a plan that was read already.
 
     Parameters
@@ -137,13 +78,15 @@ def read_plan(content: dict[str, Any], path: Path) -> CollectionPlan:
     content : dict
     path : Path
         Of the file; the files that a plan names are looked for beside it.
+    networks_later : bool
+        The checkpoints that it names need not be there yet.
 
     Raises
     ------
     MissingFileError, InputError
         See ``load_plan``.
     """
-    return _Reader(path).plan(content)
+    return _Reader(path, networks_later).plan(content)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -171,8 +114,8 @@ def read_toml(path: Path) -> dict[str, Any]:
 class _Reader:
     """Checks a plan value by value; every complaint names the file and the key."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, path: Path, networks_later: bool) -> None:
+        self._path, self._networks_later = path, networks_later
 
     def plan(self, content: dict[str, Any]) -> CollectionPlan:
         self._known("", content, _TOP)
@@ -262,15 +205,19 @@ class _Reader:
         self._known(where, table, ("code", "checkpoint", "device"))
         code = self._text(f"{where}.code", self._get(where, table, "code"))
         device = self._text(f"{where}.device", table.get("device", "cpu"))
-        checkpoint = None
         try:
-            if "checkpoint" in table:
-                checkpoint = self._beside(self._text(f"{where}.checkpoint", table["checkpoint"]))
             spec = resolve(self._code(code))
-            return PolicyUse(spec, check_checkpoint(checkpoint) or shipped_checkpoint(spec.name), device)
+            return PolicyUse(spec, self._checkpoint(where, table, spec.name), device)
         except RemaError as error:
             message = f"{self._path}: {where}: {error.message}"
             raise type(error)(message, hint=error.hint, **{**error.facts, "key": where}) from error
+
+    def _checkpoint(self, where: str, table: Mapping[str, Any], policy: str) -> Path | None:
+        """The networks that a policy names, else those that come with it."""
+        if "checkpoint" not in table:
+            return shipped_checkpoint(policy)
+        named = self._beside(self._text(f"{where}.checkpoint", table["checkpoint"]))
+        return named if self._networks_later else check_checkpoint(named)
 
     def _beside(self, name: str) -> Path:
         """A file that the plan names: relative paths start in the plan's folder."""

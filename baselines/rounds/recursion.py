@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from baselines.rounds.collect import collect
-from baselines.rounds.plan import BlockPlan
+from baselines.rounds.planned import BlockPlan
 from baselines.rounds.recursion_plan import NetworkPlan, RecursionPlan, RoundPlan
 from baselines.train.loop import Report, train, trained
 from evaluator.policy.shipped import CHECKPOINTS, publish_checkpoint

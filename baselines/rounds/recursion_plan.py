@@ -34,7 +34,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from baselines.rounds.plan import CollectionPlan, read_plan, read_toml
+from baselines.rounds.plan import read_plan, read_toml
+from baselines.rounds.planned import CollectionPlan
 from baselines.train.config import TrainingConfig
 from evaluator.policy.shipped import CHECKPOINTS
 from rema_data.errors import InputError, RemaError
@@ -125,7 +126,7 @@ class RecursionPlan:
         if number < len(self.rounds):
             content["title"] = f"{self.about['title']}: rounds 1 to {number}"
         own = _with_checkpoints(entry.collection, (releases / CHECKPOINTS).resolve())
-        content["rounds"] = [*[{"reuse": True}] * (number - 1), own]
+        content["rounds"] = _in_place(number, own)
         return read_plan(content, self.path)
 
 
@@ -214,12 +215,16 @@ def _with_checkpoints(table: dict[str, Any], root: Path) -> dict[str, Any]:
     return made
 
 
+def _in_place(number: int, table: dict[str, Any]) -> list[dict[str, Any]]:
+    """The rounds of a collection plan for one round: those before it are reused."""
+    return [*[{"reuse": True}] * (number - 1), table]
+
+
 def _check_rounds(plan: RecursionPlan) -> None:
-    """Check everything but the policies, which are not there yet, before hours of work begin."""
+    """Check everything but the networks, which are not there yet, before hours of work begin."""
     for entry in plan.rounds:
         if entry.collection is None:
             continue
-        own = copy.deepcopy(entry.collection)
-        for use in _uses(own):
-            del use["checkpoint"]
-        read_plan({**plan.about, "name": entry.release, "rounds": [own]}, plan.path)
+        content = {**plan.about, "name": entry.release, "rounds": _in_place(entry.number, entry.collection)}
+        content["parent"] = plan.rounds[0].release
+        read_plan(content, plan.path, networks_later=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -19,6 +20,7 @@ from rema_data.errors import InputError, MissingFileError, RunMismatchError
 from rema_data.release.folder import find_release
 from tests.baselines.rounds.fakes import tree
 
+PLAIN = 'policy = "tae-joint"'
 ROOT = Path(__file__).parents[3]
 TINY = ROOT / "examples" / "tiny.toml"
 
@@ -126,6 +128,21 @@ def test_the_published_plans_can_be_carried_out() -> None:
         plan = load_recursion(path)
         assert plan.name == path.stem == plan.rounds[-1].release
         assert set(plan.policies) == {"tae-joint", "tae-separate"}
+
+
+def test_networks_that_ship_are_asked_for_where_a_plan_names_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Round 4 names its own networks for tae-joint: those of the manifest need not be on this machine."""
+    files = {"grasp.safetensors": "0" * 64, "grasp.json": "0" * 64}
+    content = {"policies": {"tae-joint": {"folder": "gone/joint", "files": files}}}
+    (tmp_path / "checkpoints.json").write_text(json.dumps(content))
+    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path))
+    monkeypatch.setenv("REMA_HOME", str(tmp_path / "home"))
+    assert load_recursion(TINY).name == "tiny-recursion"
+    plain = written(tmp_path, ('policy = { code = "tae-joint", checkpoint = "tiny-recursion/round-3" }', PLAIN))
+    with pytest.raises(MissingFileError, match=r"rounds\[4\].*the networks of tae-joint \(gone/joint\)"):
+        load_recursion(plain)
 
 
 def test_a_release_of_another_plan_is_not_taken_for_done(tmp_path: Path) -> None:
