@@ -126,7 +126,7 @@ def _act(
     if answer.shape not in ((count, 3), (count,)):
         detail = f"returned shape {answer.shape}, expected ({count}, 3) or ({count},)"
         return {"ok": False, "reason": "wrong_shape", "message": detail, "where": ""}, None
-    if answer.dtype.kind not in "biuf":
+    if answer.dtype.kind not in "biuf" or answer.dtype.itemsize > 8:
         detail = f"returned dtype {answer.dtype}, expected integers"
         return {"ok": False, "reason": "wrong_dtype", "message": detail, "where": ""}, None
     return {"ok": True}, answer

@@ -22,8 +22,12 @@ def conversion_command(path: Path) -> str:
 
 
 def printable(said: object) -> str:
-    """What a policy said, fit for a terminal and for a record: no control characters, no lone surrogates, not long."""
-    text = str(said)[:_SHOWN].encode(errors="backslashreplace").decode()
+    """What a policy said, fit for a terminal and for a record: no control characters, no lone surrogates, not long.
+
+    What should be text and is not (a hostile policy writes its own replies) is shown as its type.
+    """
+    text = said if isinstance(said, str) else f"({type(said).__name__})"
+    text = text[:_SHOWN].encode(errors="backslashreplace").decode()
     return "".join(c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in text)
 
 

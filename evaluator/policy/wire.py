@@ -6,7 +6,10 @@
     header  = {"op": ..., "arrays": [[name, dtype, shape, repeat], ...], ...}
 
 ``repeat`` counts a first axis that was sent once because all its entries are equal: tool-free end effectors and the set
-of valid actions are the same in a whole batch.
+of valid actions are the same in a whole batch. It is 1 where nothing was left out.
+
+A policy may write anything to its end. What a header announces is therefore checked as Python integers before a byte of
+an array is read: numpy parses more than names of types, and raises more than one kind of error.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ import json
 import math
 import struct
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -36,7 +39,10 @@ __all__ = [
 MAX_HEADER = 16 << 20
 """Longest header, bytes: room for the situations of a large batch."""
 _LENGTH = struct.Struct(">I")
-_KINDS = "biuf"
+_AXES = 8
+_NUMBERS = ("i2", "u2", "i4", "u4", "i8", "u8", "f2", "f4", "f8")
+_DTYPES = frozenset({"|b1", "|i1", "|u1", *(order + number for order in "<>" for number in _NUMBERS)})
+"""What may cross: numbers of 1 to 8 bytes, in either order of bytes."""
 
 Array = npt.NDArray[Any]
 Read = Callable[[int], bytes | bytearray]
@@ -79,26 +85,55 @@ def read_frame(read: Read, max_header: int, max_bytes: int) -> tuple[dict[str, A
         raise WireError(f"header of {length} bytes")
     try:
         header = json.loads(bytes(read(length)))
-        described = [_described(entry) for entry in header["arrays"]]
-    except (ValueError, TypeError, KeyError, RecursionError) as error:
-        raise WireError(f"header is no description of a frame: {error}") from error
-    if sum(dtype.itemsize * math.prod(shape) * repeat for _, dtype, shape, repeat in described) > max_bytes:
+    except (ValueError, RecursionError) as error:
+        raise WireError(f"header is not JSON: {error}") from error
+    entries = header.get("arrays") if isinstance(header, dict) else None
+    if not isinstance(entries, list):
+        raise WireError("header names no arrays")
+    described = [_described(entry) for entry in entries]
+    if len({one.name for one in described}) != len(described):
+        raise WireError("header names an array twice")
+    if sum(one.bound for one in described) > max_bytes:
         raise WireError("arrays are too large")
-    arrays: dict[str, Array] = {}
-    for name, dtype, shape, repeat in described:
-        data = bytearray(read(dtype.itemsize * math.prod(shape)))
-        array = np.frombuffer(data, dtype).reshape(shape)
-        arrays[name] = np.repeat(array, repeat, axis=0) if repeat > 1 else array
-    return header, arrays
+    return header, {one.name: _array(one, read) for one in described}
 
 
-def _described(entry: Any) -> tuple[str, np.dtype[Any], tuple[int, ...], int]:
-    name, dtype_name, shape, repeat = entry
-    dtype = np.dtype(str(dtype_name))
-    sizes = tuple(int(size) for size in shape)
-    if dtype.kind not in _KINDS or min((*sizes, int(repeat)), default=0) < 0 or len(sizes) > 8:
-        raise ValueError(f"array {name} of {dtype} {sizes}")
-    return str(name), dtype, sizes, int(repeat)
+class _Described(NamedTuple):
+    """An array as a header announces it, checked."""
+
+    name: str
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+    repeat: int
+
+    @property
+    def bound(self) -> int:
+        """Bytes that it takes; an axis of length 0 counts as 1, so that the others count too."""
+        return self.dtype.itemsize * math.prod(max(size, 1) for size in self.shape) * self.repeat
+
+
+def _described(entry: Any) -> _Described:
+    """Take an entry of ``arrays`` apart; nothing in it is trusted to be of any type."""
+    if not isinstance(entry, list) or len(entry) != 4:
+        raise WireError("an array is not described by four values")
+    name, dtype, shape, repeat = entry
+    if not isinstance(name, str) or not isinstance(dtype, str) or dtype not in _DTYPES:
+        raise WireError("an array has no name, or no type that may be sent")
+    if not isinstance(shape, list) or len(shape) > _AXES or not all(_is_count(size) for size in shape):
+        raise WireError("an array has no shape")
+    if not _is_count(repeat) or repeat < 1 or (repeat > 1 and not shape):
+        raise WireError("an array is repeated a number of times that is none")
+    return _Described(name, np.dtype(dtype), tuple(shape), repeat)
+
+
+def _is_count(value: Any) -> bool:
+    return type(value) is int and value >= 0  # neither True nor 2.0
+
+
+def _array(described: _Described, read: Read) -> Array:
+    data = bytearray(read(described.dtype.itemsize * math.prod(described.shape)))
+    array = np.frombuffer(data, described.dtype).reshape(described.shape)
+    return np.repeat(array, described.repeat, axis=0) if described.repeat > 1 else array
 
 
 def batch_frame(
