@@ -13,6 +13,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from evaluator.engines.worker import RAISED, VALUE
+from evaluator.signals import signal_name
 from rema_data.errors import InfrastructureError
 
 __all__ = ["Child", "call_in_child"]
@@ -66,7 +67,7 @@ class Child:
         self._log.seek(max(0, self._log.tell() - _TAIL_BYTES))
         said = self._log.read().decode(errors="replace").strip()
         status = self.process.returncode
-        ending = f"killed by {signal.Signals(-status).name}" if status is not None and status < 0 else f"exit {status}"
+        ending = f"killed by {signal_name(-status)}" if status is not None and status < 0 else f"exit {status}"
         return f"{ending}\n{said}" if said else ending
 
     def stop(self, grace_s: float = 0.0) -> None:

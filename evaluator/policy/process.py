@@ -6,7 +6,6 @@ import contextlib
 import fcntl
 import os
 import select
-import signal
 import subprocess
 import tempfile
 import time
@@ -22,6 +21,7 @@ from evaluator.policy.guard import Guard, end_family, remove_folder
 from evaluator.policy.output import CappedOutput
 from evaluator.policy.watch import Watch
 from evaluator.policy.wire import WireError, frame_parts, read_frame
+from evaluator.signals import signal_name
 
 __all__ = ["ChildDeath", "ChildGreed", "ChildNoise", "ChildProcess", "ChildTimeout"]
 
@@ -189,7 +189,7 @@ class ChildProcess:
             return "closed its pipe to the judge"
         if found.si_code == os.CLD_EXITED:
             return f"ended with exit code {found.si_status}"
-        return f"ended with signal {signal.Signals(found.si_status).name}"
+        return f"ended with signal {signal_name(found.si_status)}"
 
     def _await_end(self, seconds: float) -> os.waitid_result | None:
         """How the process ended, without giving its number back: ``kill`` still needs it for the group."""

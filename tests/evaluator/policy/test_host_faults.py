@@ -115,6 +115,13 @@ def test_a_policy_that_dies(write_policy: WritePolicy) -> None:
         assert "SIGABRT" in answers[0].detail
 
 
+def test_a_signal_without_a_name_is_a_fault_too(write_policy: WritePolicy) -> None:
+    with PolicyHost(write_policy("os.kill(os.getpid(), 40)\ntime.sleep(60)"), None, "cpu", LIMITS) as host:
+        (answer,) = host.act(make_batch(1))
+        assert isinstance(answer, PolicyFault) and answer.reason == "died"
+        assert "signal SIGRTMIN+" in answer.detail
+
+
 def test_a_policy_that_always_dies_is_bounded(write_policy: WritePolicy) -> None:
     with PolicyHost(write_policy("os._exit(7)"), None, "cpu", LIMITS) as host:
         assert reasons(host.act(make_batch(64))) == ["died"] * 64
