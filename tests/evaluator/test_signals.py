@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 
 import pytest
@@ -20,10 +21,9 @@ def end_oddly() -> None:
 
 def test_every_signal_has_a_name() -> None:
     assert [signal_name(number) for number in (9, 11)] == ["SIGKILL", "SIGSEGV"]
-    assert signal_name(250).startswith("SIGRTMIN+")
     assert len({signal_name(number) for number in range(1, 65)}) == 64
 
 
 def test_a_worker_that_ends_by_a_signal_without_a_name() -> None:
-    with pytest.raises(InfrastructureError, match=rf"killed by {signal_name(ODD)}".replace("+", r"\\+")):
+    with pytest.raises(InfrastructureError, match=re.escape(f"killed by {signal_name(ODD)}")):
         call_in_child("tests.evaluator.test_signals:end_oddly")
