@@ -6,31 +6,27 @@ command goes on after any interruption; within a stage, collection and training 
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from baselines.rounds.collect import collect
-from baselines.rounds.planned import BlockPlan
+from baselines.rounds.notes import PLAYERS, STAGES, note
 from baselines.rounds.recursion_plan import NetworkPlan, RecursionPlan, RoundPlan
+from baselines.rounds.sealed import check_sealed, players_of
 from baselines.train.loop import Report, train, trained
 from evaluator.policy.shipped import CHECKPOINTS, publish_checkpoint
 from evaluator.runner import ProgressSink
-from rema_data.errors import InputError, MissingFileError, RunMismatchError
+from rema_data.errors import InputError, MissingFileError
 from rema_data.loader.release import Release, load
 from rema_data.release.folder import ReleaseFolder
-from rema_data.release.manifest import MANIFEST, BlockEntry, parse_manifest
+from rema_data.release.manifest import MANIFEST, parse_manifest
 from rema_data.release.registry import register
-from rema_data.storage import write_atomic
 
 __all__ = ["Stage", "Watcher", "publish", "recurse", "train_network"]
-
-COSTS = "stages.json"
-"""Beside the networks: what every stage took on the machine that finished it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +96,8 @@ def recurse(
     RemaError
         As ``collect`` and ``train``; what is finished stays.
     RunMismatchError
-        A release or a network of that name is there, made by another plan.
+        A release or a network of that name is there, made by another plan: see ``check_sealed`` and ``trained`` for
+        what is compared.
     """
     recursion = _Recursion(plan, releases, watcher, workers, device)
     done: list[Stage] = []
@@ -184,6 +181,8 @@ class _Recursion:
                     f"round {entry.number} is reused from {entry.release}, which is not in {self.releases}",
                     hint="collect that recursion first, or fetch it",
                 )
+            if entry.played_by:  # noted before the first episode: a kill between the seal and a note would lose it
+                note(self.networks / PLAYERS, entry.release, players_of(entry, self.releases))
             collect(
                 self.plan.collection(entry.number, self.releases),
                 self.releases,
@@ -198,16 +197,10 @@ class _Recursion:
         if not path.is_file():
             return None
         manifest = parse_manifest(path.read_bytes(), str(path))
+        release = ReleaseFolder(manifest, self.releases)
         if entry.collection is not None:
-            blocks = {block.key: block for block in manifest.blocks if block.round == entry.number}
-            planned = self.plan.collection(entry.number, self.releases).blocks
-            if len(blocks) != len(planned) or not all(_fits(block, blocks.get(block.key)) for block in planned):
-                raise RunMismatchError(
-                    f"{path.parent} holds other episodes than round {entry.number} of {self.plan.path}",
-                    hint="give the plan another name, or choose another folder with --output",
-                    path=str(path.parent),
-                )
-        return ReleaseFolder(manifest, self.releases)
+            check_sealed(self.plan, entry, release)
+        return release
 
     def train(self, entry: RoundPlan, network: NetworkPlan) -> Stage:
         what, started = f"train {network.folder}/{network.name}", time.perf_counter()
@@ -226,16 +219,5 @@ class _Recursion:
         """Note what the run that finished a stage spent on it."""
         stage = Stage(number, what, already, time.perf_counter() - started)
         if not already:
-            path = self.networks / COSTS
-            costs: dict[str, Any] = json.loads(path.read_text()) if path.is_file() else {}
-            costs[what] = {"round": number, "seconds": round(stage.seconds, 1)}
-            write_atomic(path, json.dumps(costs, indent=1) + "\n")
+            note(self.networks / STAGES, what, {"round": number, "seconds": round(stage.seconds, 1)})
         return stage
-
-
-def _fits(planned: BlockPlan, block: BlockEntry | None) -> bool:
-    """Whether a block holds what is planned; a step that no episode reached has no policy."""
-    if block is None or block.episodes != planned.episodes:
-        return False
-    names = [use.spec.name for use in planned.policies]
-    return all(found in ("", name) for name, found in zip(names, block.policies, strict=True))

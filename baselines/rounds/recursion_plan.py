@@ -84,6 +84,11 @@ class RoundPlan:
     collection: dict[str, Any] | None
     networks: tuple[NetworkPlan, ...]
 
+    @property
+    def played_by(self) -> tuple[str, ...]:
+        """Folders, below ``checkpoints``, of the networks that its policies name."""
+        return tuple(sorted({str(use["checkpoint"]) for use in _uses(self.collection)}))
+
 
 @dataclass(frozen=True, slots=True)
 class RecursionPlan:

@@ -1,0 +1,95 @@
+"""Whether a sealed release is what a plan says of a round: what is compared, and what cannot be."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from baselines.rounds.notes import PLAYERS, read_notes
+from baselines.rounds.planned import BlockPlan, CollectionPlan
+from baselines.rounds.recursion_plan import RecursionPlan, RoundPlan
+from baselines.tae.checkpoint import networks_in
+from evaluator.policy.shipped import CHECKPOINTS
+from rema_data.errors import RunMismatchError
+from rema_data.release.folder import ReleaseFolder
+from rema_data.release.manifest import BlockEntry
+from rema_data.store.block import EPISODES
+
+__all__ = ["check_sealed", "players_of"]
+
+
+def players_of(entry: RoundPlan, releases: Path) -> dict[str, str]:
+    """The networks that a round names as its players, each with the sha256 of its weights.
+
+    Raises
+    ------
+    MissingFileError
+        One is not there.
+    """
+    found = {}
+    for place in entry.played_by:
+        for name, path in networks_in(releases / CHECKPOINTS / place).items():
+            found[f"{place}/{name}"] = hashlib.sha256(path.read_bytes()).hexdigest()
+    return found
+
+
+def check_sealed(plan: RecursionPlan, entry: RoundPlan, release: ReleaseFolder) -> None:
+    """Raise where a sealed round is not the one that the plan asks for.
+
+    Compared are its blocks, their episodes, the names of the policies of every step, the seed that the episodes
+    record, and the networks that played, where the process that collected noted them. The code of the policies and the
+    simulator are not: both may have changed since, and the sealed episodes are no worse for it.
+
+    Parameters
+    ----------
+    plan : RecursionPlan
+    entry : RoundPlan
+        A round that the plan collects itself.
+    release : ReleaseFolder
+
+    Raises
+    ------
+    RunMismatchError
+    MissingFileError
+        A network that plays the round is not there.
+    IntegrityError
+        A table of the release is damaged.
+    """
+    planned = plan.collection(entry.number, release.root)
+    blocks = {block.key: block for block in release.manifest.blocks if block.round == entry.number}
+    if len(blocks) != len(planned.blocks) or not all(_fits(block, blocks.get(block.key)) for block in planned.blocks):
+        raise _other(plan, entry, release, "holds other episodes than")
+    _check_seed(plan, entry, release, planned)
+    recorded = read_notes(release.root / CHECKPOINTS / plan.name / PLAYERS).get(entry.release)
+    if recorded is not None:
+        present = players_of(entry, release.root)
+        changed = sorted(name for name in {*recorded, *present} if recorded.get(name) != present.get(name))
+        if changed:
+            raise _other(plan, entry, release, f"was played by other networks ({', '.join(changed)}) than")
+
+
+def _check_seed(plan: RecursionPlan, entry: RoundPlan, release: ReleaseFolder, planned: CollectionPlan) -> None:
+    for block in release.manifest.blocks:
+        reader = release.block(block)
+        if block.round != entry.number or not (reader.folder / EPISODES).is_file():  # a part that was not fetched
+            continue
+        for seed in reader.episodes().column("seed").unique().to_pylist():
+            if seed != planned.seed:
+                what = f"was drawn with the seed {seed}, not {planned.seed}, so it is not"
+                raise _other(plan, entry, release, what)
+
+
+def _other(plan: RecursionPlan, entry: RoundPlan, release: ReleaseFolder, what: str) -> RunMismatchError:
+    return RunMismatchError(
+        f"{release.path} {what} round {entry.number} of {plan.path}",
+        hint="undo the change, give the plan another name, or choose another folder with --output",
+        path=str(release.path),
+    )
+
+
+def _fits(planned: BlockPlan, block: BlockEntry | None) -> bool:
+    """Whether a block holds what is planned; a step that no episode reached has no policy."""
+    if block is None or block.episodes != planned.episodes:
+        return False
+    names = [use.spec.name for use in planned.policies]
+    return all(found in ("", name) for name, found in zip(names, block.policies, strict=True))

@@ -1,0 +1,104 @@
+"""What is sealed and what a plan says: the same, or refused by name."""
+
+from __future__ import annotations
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from baselines.rounds import recursion
+from baselines.rounds.collect import collect
+from baselines.rounds.notes import note, read_notes
+from baselines.rounds.recursion import recurse
+from baselines.rounds.recursion_plan import load_recursion
+from baselines.rounds.sealed import check_sealed
+from rema_data.errors import IntegrityError, RunMismatchError
+from rema_data.release.folder import ReleaseFolder
+from rema_data.release.manifest import MANIFEST, parse_manifest
+from tests.baselines.rounds.test_recursion import Quiet
+from tests.evaluator.fakes import fake_backend
+
+ROOT = Path(__file__).parents[3]
+PLAN = """
+name = "two"
+title = "Two rounds"
+description = "For tests."
+license = "CC-BY-4.0"
+citation = "Nobody."
+seed = 7
+
+[[rounds]]
+policy = "random"
+episodes = { train = 6 }
+tasks = ["grasp"]
+
+[[rounds.networks]]
+network = "round-1/grasp"
+primitive = "grasp"
+tasks = ["grasp"]
+
+[[rounds]]
+policy = { code = "tae", checkpoint = "two/round-1" }
+episodes = { train = 4 }
+tasks = ["grasp"]
+"""
+
+
+@pytest.fixture
+def collected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_fingerprint: None) -> Path:
+    """Both rounds, in the light world, as if their network had been trained before."""
+    light = partial(collect, engine="inline", backend=fake_backend())
+    monkeypatch.setattr(recursion, "collect", light)
+    monkeypatch.setattr(recursion, "trained", lambda *_: True)
+    (tmp_path / "plan.toml").write_text(PLAN)
+    network = tmp_path / "out" / "checkpoints" / "two" / "round-1" / "grasp.safetensors"
+    network.parent.mkdir(parents=True)
+    network.write_bytes(b"weights")
+    assert [stage.already for stage in again(tmp_path)] == [False, True, False]
+    return tmp_path
+
+
+def again(folder: Path) -> list[recursion.Stage]:
+    return recurse(load_recursion(folder / "plan.toml"), folder / "out", Quiet())
+
+
+def test_the_same_plan_is_done(collected: Path) -> None:
+    assert all(stage.already for stage in again(collected))
+
+
+def test_another_seed_is_another_plan(collected: Path) -> None:
+    (collected / "plan.toml").write_text(PLAN.replace("seed = 7", "seed = 8"))
+    with pytest.raises(RunMismatchError, match="two-round-1 was drawn with the seed 7, not 8.* round 1") as caught:
+        again(collected)
+    assert "another name" in caught.value.hint
+
+
+def test_a_round_that_other_networks_played(collected: Path) -> None:
+    networks = collected / "out" / "checkpoints" / "two"
+    (networks / "round-1" / "grasp.safetensors").write_bytes(b"trained again elsewhere")
+    with pytest.raises(RunMismatchError, match=r"two was played by other networks \(two/round-1/grasp\) than round 2"):
+        again(collected)
+    (networks / "players.json").unlink()  # as of a release that was collected before they were noted
+    assert all(stage.already for stage in again(collected))
+
+
+def test_the_published_rounds_are_those_of_their_plan() -> None:
+    plan, releases = load_recursion(ROOT / "manifests" / "plans" / "rema-v0.toml"), ROOT / "releases"
+    for entry in plan.rounds:
+        path = releases / entry.release / MANIFEST
+        check_sealed(plan, entry, ReleaseFolder(parse_manifest(path.read_bytes(), str(path)), releases))
+
+
+def test_no_note_is_lost_between_two_that_write(tmp_path: Path) -> None:
+    path = tmp_path / "networks" / "stages.json"
+    with ThreadPoolExecutor(6) as pool:
+        list(pool.map(lambda n: note(path, f"train {n}", {"seconds": n}), range(40)))
+    assert {name: value["seconds"] for name, value in json.loads(path.read_text()).items()} == {
+        f"train {n}": n for n in range(40)
+    }
+    path.write_text("{")
+    with pytest.raises(IntegrityError, match=r"stages\.json cannot be read"):
+        read_notes(path)
