@@ -84,7 +84,6 @@ class PolicyHost:
         self._asked = 0
         self._waited_s = 0.0  # for processes that are gone
         self._overdrawn: PolicyFault | None = None
-        self._failed_batches = 0
         self._warned = 0
         self.restarts = 0
 
@@ -145,23 +144,18 @@ class PolicyHost:
         shown = situations if self._privileged else None
         answers = self._ask(batch, shown, self._limits.batch_s)
         if isinstance(answers, list):
-            self._failed_batches = 0
             return answers
-        self._failed_batches += 1
-        if self._failed_batches > self._limits.retried_batches:
-            return [answers] * len(batch)
         level = logging.WARNING if self._warned < _WARNINGS else logging.DEBUG
         self._warned += 1
         _LOG.log(level, "policy %s failed on a batch: %s: %s", self._spec.name, answers.reason, answers.detail)
-        if len(batch) == 1:
-            return [answers]
-        singles = self._ask_one_by_one(batch, shown)
-        if answers.reason == FaultReason.EXCEPTION and any(isinstance(answer, int) for answer in singles):
-            self._failed_batches = 0  # exceptions are cheap: a policy that raises now and then is asked on
-        return singles
+        return [answers] if len(batch) == 1 else self._ask_one_by_one(batch, shown)
 
     def _ask_one_by_one(self, batch: ObservationBatch, shown: tuple[Situation, ...] | None) -> list[Answer]:
-        """Find out which observation a failed batch is to be charged to."""
+        """Find out which observation a failed batch is to be charged to.
+
+        Whatever is charged follows from this batch alone: earlier batches may have been asked by another process, in a
+        run that was resumed or on another machine, and the rows must not show it.
+        """
         answers: list[Answer] = []
         single_s = min(self._limits.batch_s, self._limits.single_s)
         deaths = 0

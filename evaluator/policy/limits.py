@@ -28,11 +28,9 @@ class PolicyLimits:
         Past that nothing is asked any more, and every observation is a time-out.
     log_head_bytes, log_tail_bytes : int
         Kept of the beginning and of the end of what the policy prints.
-    retried_batches : int
-        Failed batches in a row whose observations are asked again one by one; after these a failed batch is charged
-        whole, until one succeeds. A batch that raised does not count if any of its observations is answered alone.
     deaths_in_row : int
-        While asking one by one: time-outs and deaths in a row after which the rest of the batch is charged too.
+        The observations of a batch that failed are asked again one by one: so many time-outs and deaths in a row, and
+        the rest of the batch is charged too.
     memory_bytes : int or None
         Memory; None is three quarters of what the machine has.
     disk_bytes, disk_files : int
@@ -50,7 +48,6 @@ class PolicyLimits:
     observation_s: float = 2.0
     log_head_bytes: int = 256 << 10
     log_tail_bytes: int = 64 << 10
-    retried_batches: int = 3
     deaths_in_row: int = 3
     memory_bytes: int | None = None
     disk_bytes: int = 2 << 30

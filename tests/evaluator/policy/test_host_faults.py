@@ -83,13 +83,21 @@ def test_one_raising_observation_is_charged_alone(write_policy: WritePolicy) -> 
         assert "ValueError: two" in fault.detail and "my_policy.py:10" in fault.detail
 
 
-def test_a_policy_that_always_raises_is_not_retried_for_ever(write_policy: WritePolicy, tmp_path: Path) -> None:
+def test_a_policy_that_always_raises_is_asked_twice_about_everything(write_policy: WritePolicy, tmp_path: Path) -> None:
     calls = tmp_path / "calls"
     spec = write_policy(f"open({str(calls)!r}, 'a').write('x')\nraise KeyError('always')")
     with PolicyHost(spec, None, "cpu", LIMITS, walls=False) as host:
         for _ in range(6):
             assert reasons(host.act(make_batch(4))) == ["exception"] * 4
-    assert len(calls.read_text()) == 6 + 3 * 4
+    assert len(calls.read_text()) == 6 * (1 + 4)
+
+
+def test_what_is_charged_does_not_depend_on_the_batches_before(write_policy: WritePolicy) -> None:
+    """So it does not depend on where a run was interrupted, either."""
+    spec = write_policy("if n > 1: os._exit(7)\nreturn good")
+    with PolicyHost(spec, None, "cpu", LIMITS) as host:
+        assert [reasons(host.act(make_batch(2, seed=seed))) for seed in range(5)] == [["ok", "ok"]] * 5
+        assert host.restarts == 5
 
 
 def test_a_policy_that_raises_in_every_batch_is_charged_for_one_observation_each(write_policy: WritePolicy) -> None:
