@@ -25,6 +25,8 @@ from evaluator.policy.wire import MAX_HEADER, frame_parts, read_batch, read_fram
 
 _TRACEBACK_LINES = 12
 _MESSAGE_CHARACTERS = 2000
+_KIND_CHARACTERS = 200
+_CAUSES = 10
 _ANY_SIZE = 1 << 40
 
 __all__ = ["serve"]
@@ -132,10 +134,10 @@ def _act(
     return {"ok": True}, answer
 
 
-def _describe(error: BaseException, own_folder: str) -> dict[str, str]:
+def _describe(error: BaseException, own_folder: str) -> dict[str, Any]:
     """What was raised, where in the submitter's code, and the last lines of the traceback from there on."""
     if isinstance(error, Refusal):
-        return {"message": str(error), "where": "", "traceback": ""}
+        return {"message": str(error), "where": "", "traceback": "", "kinds": []}
     start = error.__traceback__
     while start is not None and start.tb_frame.f_code.co_filename.startswith((__file__, "<frozen importlib")):
         start = start.tb_next  # the frames of this file say nothing to a submitter
@@ -153,7 +155,21 @@ def _describe(error: BaseException, own_folder: str) -> dict[str, str]:
         "message": message[:_MESSAGE_CHARACTERS],
         "where": where,
         "traceback": "\n".join("".join(lines).splitlines()[-_TRACEBACK_LINES:])[:_MESSAGE_CHARACTERS],
+        "kinds": _kinds(error),
     }
+
+
+def _kinds(error: BaseException | None) -> list[str]:
+    """Types of an exception and of its causes, with their bases: the judge says what mends some of them."""
+    found: dict[str, None] = {}
+    for _ in range(_CAUSES):
+        if error is None:
+            break
+        found.update(
+            (f"{kind.__module__}.{kind.__qualname__}"[:_KIND_CHARACTERS], None) for kind in type(error).__mro__
+        )
+        error = error.__cause__ or error.__context__
+    return list(found)
 
 
 def _reply(reply_fd: int, header: dict[str, Any], answer: np.ndarray[Any, Any] | None = None) -> None:

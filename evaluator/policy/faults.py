@@ -7,13 +7,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from evaluator.policy.refusals import printable
 from rema_data import grid
 
-__all__ = ["Answer", "FaultReason", "PolicyFault", "check_answer"]
+__all__ = ["Answer", "FaultReason", "PolicyFault", "check_answer", "reported_fault"]
 
 _BOUNDS = (grid.SCENE_PIXELS, grid.SCENE_PIXELS, grid.ANGLES)
 
@@ -96,3 +98,12 @@ def _check_cell(cell: tuple[int, int, int], valid: npt.NDArray[np.bool_]) -> Ans
     if not valid[cell]:
         return PolicyFault(FaultReason.INVALID, f"action (i, j, k) = {cell} is not in `valid`")
     return int(grid.encode(*cell))
+
+
+def reported_fault(header: dict[str, Any]) -> PolicyFault:
+    """The fault that a policy's process reports about itself; nothing in the header is trusted to be of any type."""
+    known = (FaultReason.EXCEPTION, FaultReason.SHAPE, FaultReason.DTYPE)
+    reason = header.get("reason")
+    where = header.get("where")
+    detail = printable(header.get("message", "")) + (f" ({printable(where)})" if where else "")
+    return PolicyFault(FaultReason(reason) if reason in known else FaultReason.PROTOCOL, detail)

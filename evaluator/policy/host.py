@@ -6,17 +6,17 @@ import logging
 import secrets
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 from evaluator.policy.enclosure import Enclosure
-from evaluator.policy.faults import Answer, FaultReason, PolicyFault, check_answer
+from evaluator.policy.faults import Answer, FaultReason, PolicyFault, check_answer, reported_fault
 from evaluator.policy.interface import ObservationBatch
 from evaluator.policy.isolation import Isolation, isolation_of
 from evaluator.policy.limits import PolicyLimits
 from evaluator.policy.loading import PolicySpec, check_checkpoint
 from evaluator.policy.output import CappedOutput
 from evaluator.policy.process import ChildDeath, ChildGreed, ChildNoise, ChildProcess, ChildTimeout
-from evaluator.policy.refusals import printable, refusal_hint
+from evaluator.policy.refusals import Refusal, printable, refusal_hint
 from evaluator.policy.wire import batch_frame, frame_parts
 from rema_data.errors import InputError, SubmissionError
 from rema_data.schema import Situation
@@ -203,7 +203,7 @@ class PolicyHost:
             return PolicyFault(FaultReason.PROTOCOL, "the reply belongs to no question")
         if header.get("ok") is True and "answer" in arrays:
             return check_answer(arrays["answer"], batch.valid)
-        fault = _reported_fault(header)
+        fault = reported_fault(header)
         return fault if fault.reason == FaultReason.EXCEPTION else [fault] * len(batch)
 
     def _left_s(self) -> float:
@@ -239,17 +239,16 @@ class PolicyHost:
             left_s = self._limits.start_s - self._child.waited_s
             header, _ = self._child.ask(frame_parts(load, {}), left_s, 0)
         except ChildTimeout:
-            raise self._refusal(f"did not start within {self._limits.start_s:g} s") from None
+            raise self._refusal(Refusal(f"did not start within {self._limits.start_s:g} s")) from None
         except (ChildDeath, ChildGreed, ChildNoise) as death:
-            raise self._refusal(f"{death} while it started") from None
+            raise self._refusal(Refusal(f"{death} while it started")) from None
         if header.get("ok") is not True:
-            message = printable(header.get("message", "could not be loaded"))
-            raise self._refusal(message, printable(header.get("where", "")), printable(header.get("traceback", "")))
+            raise self._refusal(Refusal.of(header))
         found = header.get("privileged") is True
         if self._privileged not in (None, found):
             # What the run says of the policy was taken from its first process.
             was, now = (f"`privileged` {value}" for value in (self._privileged, found))
-            raise self._refusal(f"started again it has {now}, at first it had {was}")
+            raise self._refusal(Refusal(f"started again it has {now}, at first it had {was}"))
         self._privileged = found
 
     def _enclose(self, child: ChildProcess) -> None:
@@ -268,18 +267,19 @@ class PolicyHost:
             ) from None
         found = isolation_of(report, sandbox)
         if self._isolation not in (None, found):
-            raise self._refusal(f"other walls stand around it than at first: {found}")
+            raise self._refusal(Refusal(f"other walls stand around it than at first: {found}"))
         self._isolation = found
 
-    def _refusal(self, message: str, where: str = "", trace: str = "") -> SubmissionError:
+    def _refusal(self, refusal: Refusal) -> SubmissionError:
         self._drop()
-        place = f" ({where})" if where else ""
-        hint = refusal_hint(message, where or str(self._spec.path), trace or self._output.text(), self._isolation)
+        where = refusal.where
+        hint = refusal_hint(
+            refusal, where or str(self._spec.path), self._output.text(), self._isolation, self._checkpoint
+        )
         if self._log is not None and self._output.total:
             hint += f"\nwhat it printed is in {self._log}"
-        return SubmissionError(
-            f"policy {self._spec.name} cannot be used: {message}{place}", hint=hint, path=self._spec.path, where=where
-        )
+        message = f"policy {self._spec.name} cannot be used: {refusal.message}" + (f" ({where})" if where else "")
+        return SubmissionError(message, hint=hint, path=self._spec.path, where=where)
 
     def _drop(self) -> None:
         if self._child is not None:
@@ -292,12 +292,3 @@ class PolicyHost:
             self._child.close()
             self._child = None
         self._output.settle()
-
-
-def _reported_fault(header: dict[str, Any]) -> PolicyFault:
-    """The fault that a policy's process reports about itself."""
-    known = (FaultReason.EXCEPTION, FaultReason.SHAPE, FaultReason.DTYPE)
-    reason = header.get("reason")
-    where = header.get("where")
-    detail = printable(header.get("message", "")) + (f" ({printable(where)})" if where else "")
-    return PolicyFault(FaultReason(reason) if reason in known else FaultReason.PROTOCOL, detail)

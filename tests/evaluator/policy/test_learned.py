@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import shlex
+import subprocess
+import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 from evaluator.policy import PolicyHost, PolicyLimits, resolve
-from rema_data.errors import SubmissionError
+from evaluator.policy.conversion import convert
+from evaluator.policy.refusals import Refusal, refusal_hint
+from rema_data.errors import InputError, MissingFileError, SubmissionError
 from tests.evaluator.policy.batches import make_batch
 from tests.evaluator.policy.conftest import WritePolicy
 from tests.evaluator.policy.test_host_answers import reasons
 
+ROOT = Path(__file__).resolve().parents[3]
 PATIENT = PolicyLimits(start_s=120, batch_s=60)
 
 
@@ -44,17 +50,99 @@ def test_the_learned_baseline_with_openvino(networks: Path) -> None:
 
 
 def test_a_pickle_is_opened_as_weights_or_not_at_all(write_policy: WritePolicy, tmp_path: Path) -> None:
+    """The command that is printed makes of it what can be loaded."""
     import torch
+    from safetensors.torch import load_file
 
-    torch.save({"w": torch.ones(3)}, tmp_path / "weights.pt")
-    torch.save({"w": Path("/a/path")}, tmp_path / "program.pt")
+    weights = tmp_path / "my weights"
+    weights.mkdir()
+    torch.save({"w": torch.ones(3)}, weights / "weights.pt")
+    torch.save({"model": {"w": torch.ones(3)}, "arguments": Path("/a/path")}, weights / "program.pt")
     spec = write_policy(
         "return good",
         top="import torch",
-        init="assert torch.load(checkpoint / 'weights.pt', weights_only=False)['w'].sum() == 3\n"
-        "torch.load(checkpoint / 'program.pt', weights_only=False)",
+        init="""
+        assert torch.load(checkpoint / 'weights.pt', weights_only=False)['w'].sum() == 3
+        try:
+            torch.load(checkpoint / 'program.pt', weights_only=False)
+        except Exception as error:
+            raise RuntimeError("no weights") from error
+        """,
     )
-    with pytest.raises(SubmissionError, match="UnpicklingError") as caught, PolicyHost(spec, tmp_path, "cpu", PATIENT):
+    with pytest.raises(SubmissionError, match="RuntimeError: no weights") as caught, PolicyHost(spec, weights):
         pass
-    assert caught.value.facts["where"] == f"{spec.path}:7"
-    assert "safetensors.torch" in caught.value.hint
+    assert caught.value.facts["where"] == f"{spec.path}:10"
+    commands = [line for line in caught.value.hint.splitlines() if line.startswith("python -m")]
+    assert len(commands) == 2 and str(weights / "program.pt") in commands[0]
+    command = commands[0].replace("python", shlex.quote(sys.executable), 1)
+    subprocess.run(command, shell=True, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
+    assert load_file(weights / "program.safetensors")["w"].tolist() == [1.0, 1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("checkpoint", "named"),
+    [
+        ("a b.pth", ["'a b.pth'"]),
+        ("folder", ["folder/x.pt", "folder/y.ckpt"]),
+        ("empty", ["empty/FILE.pt"]),
+        (None, ["FILE.pt"]),
+    ],
+)
+def test_the_files_that_were_meant_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, checkpoint: str | None, named: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("a b.pth").write_bytes(b"")
+    for folder, files in (("folder", ("x.pt", "y.ckpt", "z.safetensors")), ("empty", ())):
+        Path(folder).mkdir()
+        for name in files:
+            Path(folder, name).write_bytes(b"")
+    refusal = Refusal("UnpicklingError: no", kinds=("_pickle.UnpicklingError",))
+    hint = refusal_hint(refusal, "my_policy.py", "", None, None if checkpoint is None else Path(checkpoint))
+    commands = [line for line in hint.splitlines() if line.startswith("python -m")]
+    assert commands == [f"python -m evaluator.policy.conversion {name} --trust" for name in named]
+
+
+def test_a_state_dict_is_found_wherever_it_is(tmp_path: Path) -> None:
+    import torch
+    from safetensors.torch import load_file
+
+    network = torch.nn.Sequential(torch.nn.Linear(2, 3), torch.nn.Linear(3, 2))
+    network[1].weight = torch.nn.Parameter(network[0].weight.T)  # shared, and not contiguous
+    state = network.state_dict()
+    contents = {
+        "alone": state,
+        "named": {"state_dict": state, "epoch": 3, "optimizer": {"state": {}}},
+        "network": network,
+        "inside": {"model": network},
+    }
+    for name, content in contents.items():
+        path = tmp_path / f"{name}.pt"
+        torch.save(content, path)
+        found = load_file(convert(path, trust=True))
+        assert found.keys() == state.keys()
+        assert all(torch.equal(found[key], state[key]) for key in state)
+
+
+def test_what_cannot_be_converted_is_said(tmp_path: Path) -> None:
+    import torch
+
+    def saved(name: str, content: object) -> Path:
+        torch.save(content, tmp_path / name)
+        return tmp_path / name
+
+    state = {"w": torch.ones(2)}
+    with pytest.raises(InputError, match="holds more than tensors") as caught:
+        convert(saved("a.pt", {"model": state, "path": Path("/")}))
+    assert "--trust" in caught.value.hint
+    two = saved("b.pt", {"model": state, "average": state})
+    with pytest.raises(InputError, match="more than one state dict: model, average") as caught:
+        convert(two)
+    assert caught.value.hint == "name one: --key model"
+    assert convert(two, key="average").name == "b.safetensors"
+    with pytest.raises(InputError, match="is there already"):
+        convert(two)
+    with pytest.raises(InputError, match=r"no state dict: it is a dictionary of epoch"):
+        convert(saved("c.pt", {"epoch": 3}))
+    with pytest.raises(MissingFileError):
+        convert(tmp_path / "none.pt")
