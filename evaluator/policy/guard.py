@@ -6,12 +6,13 @@ import os
 import shutil
 import signal
 import subprocess
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
 import psutil
 
-__all__ = ["Guard", "end_family", "remove_folder"]
+__all__ = ["Guard", "descendants", "end_family", "remove_folder"]
 
 # `read` succeeds when the judge says goodbye, and fails when the judge is gone. The kernel has ended the policy by
 # then; what it started lives on in its group.
@@ -53,16 +54,30 @@ class Guard:
         self._shell.wait()
 
 
-def end_family(process: subprocess.Popen[bytes], folder: Path) -> None:
+def descendants(process: subprocess.Popen[bytes]) -> list[psutil.Process]:
+    """What ``process`` started, and what that started: while ``process`` lives, nothing of it is missing."""
+    with suppress(psutil.Error):
+        found: list[psutil.Process] = psutil.Process(process.pid).children(recursive=True)
+        return found
+    return []
+
+
+def end_family(process: subprocess.Popen[bytes], folder: Path, known: Iterable[psutil.Process] = ()) -> None:
     """End ``process``, its group and everything else that it started, and remove its working ``folder``.
+
+    Parameters
+    ----------
+    process : subprocess.Popen
+    folder : Path
+    known : iterable of psutil.Process
+        Its descendants at a time when it lived for certain.
 
     Notes
     -----
-    What left the group is known by its ancestors, or by the temporary folder that it inherited.
+    What left the group is known by its ancestors, or by the temporary folder that it inherited. Where no wall denies
+    processes, one that wants to stay can: it empties its environment, and its parent and the policy end first.
     """
-    members = _strayed(folder)
-    with suppress(psutil.Error):
-        members += psutil.Process(process.pid).children(recursive=True)
+    members = [*known, *_strayed(folder), *descendants(process)]
     # The leader was not waited for yet, so the number of the group is still its own.
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(process.pid, signal.SIGKILL)

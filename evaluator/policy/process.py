@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import psutil
 
 from evaluator.policy.enclosure import Enclosure
-from evaluator.policy.guard import Guard, end_family, remove_folder
+from evaluator.policy.guard import Guard, descendants, end_family, remove_folder
 from evaluator.policy.output import CappedOutput
 from evaluator.policy.watch import Watch
 from evaluator.policy.wire import WireError, frame_parts, read_frame
@@ -202,15 +203,16 @@ class ChildProcess:
 
     def close(self) -> None:
         """Say goodbye, then end the process and everything that it started."""
+        known = descendants(self._process)  # once it has ended, they are nobody's
         with contextlib.suppress(OSError, ChildTimeout):
             for part in frame_parts({"op": "close"}, {}):
                 self._write(memoryview(part), _Budget(_GOODBYE_S))
             self._await_end(_GOODBYE_S)
-        self.kill()
+        self.kill(known)
 
-    def kill(self) -> None:
-        """End the process, its group and its descendants at once."""
-        end_family(self._process, self.folder)
+    def kill(self, known: Iterable[psutil.Process] = ()) -> None:
+        """End the process, its group, its descendants, and those of them that are ``known`` already, at once."""
+        end_family(self._process, self.folder, known)
         self._guard.dismiss()
         for end in (self._requests, self._replies):
             with contextlib.suppress(OSError):

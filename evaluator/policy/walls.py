@@ -23,6 +23,7 @@ from typing import Any
 __all__ = ["main"]
 
 _PR_SET_PDEATHSIG = 1
+_PR_SET_CHILD_SUBREAPER = 36
 _CLONE_THREAD = 0x10000
 _TRUNCATION = 3  # the first version of Landlock that covers it
 _NAMESPACES = ("mnt", "net", "pid", "ipc", "user", "uts")
@@ -82,9 +83,14 @@ def main() -> None:
 
 
 def _die_with_parent() -> None:
-    """Let the kernel end this process with the judge, also while the policy holds the interpreter."""
+    """Let the kernel end this process with the judge, also while the policy holds the interpreter.
+
+    Where the policy may start processes, those that lose their parent stay its descendants, by which they are found.
+    """
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        library = ctypes.CDLL(None)
+        library.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        library.prctl(_PR_SET_CHILD_SUBREAPER, 1)
 
 
 def _take_standard_streams() -> tuple[int, int]:
