@@ -18,7 +18,7 @@ from baselines.tae.network import TaeNetwork
 from baselines.train.config import TrainingConfig
 from baselines.train.data import open_data, prepared
 from baselines.train.result import DIVERGED, DivergedError, Trained, save_best, trained
-from baselines.train.state import TrainingState, read_state, write_state
+from baselines.train.state import TrainingState, locked, read_state, state_path, write_state
 from baselines.train.validation import pixel_logits, validate
 from rema_data.augment import Augment
 from rema_data.loader.release import Release
@@ -64,7 +64,7 @@ def train(
     Raises
     ------
     InputError, MissingFileError, IntegrityError
-        See ``open_data``.
+        See ``open_data``; or another process is at the same training.
     RunMismatchError
         The folder holds another training under the name.
     DivergedError
@@ -80,9 +80,13 @@ def train(
     before = torch.are_deterministic_algorithms_enabled()
     torch.use_deterministic_algorithms(deterministic)
     try:
-        return run.go(save_every or config.validate_every)
+        with locked(run.work):
+            # By a process that ended while this one opened the data.
+            done = trained(release, config, folder, name) or run.go(save_every or config.validate_every)
     finally:
         torch.use_deterministic_algorithms(before)
+    shutil.rmtree(run.work, ignore_errors=True)
+    return done
 
 
 class _Training:
@@ -97,7 +101,7 @@ class _Training:
     ) -> None:
         self.release, self.config, self.folder, self.name = release, config, folder, name
         self.device, self.report = device, report
-        self.work = folder / f".{name}.training"
+        self.work = state_path(folder, name)
         self.data = open_data(release, config)
         self.augment = Augment(self.data.train, rotate=config.rotate, mirror="pushes" if config.mirror else "none")
         self.network = TaeNetwork(config.architecture, torch.Generator().manual_seed(config.seed))
@@ -241,6 +245,4 @@ class _Training:
         return save_best(self.release, self.config, folder, self.name, self.best_weights, self.best)
 
     def finish(self) -> Trained:
-        about = self.save_best(self.folder)
-        shutil.rmtree(self.work, ignore_errors=True)
-        return Trained(self.folder, self.name, about, already=False)
+        return Trained(self.folder, self.name, self.save_best(self.folder), already=False)

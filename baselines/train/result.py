@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 from collections.abc import Mapping
 from contextlib import suppress
@@ -14,6 +15,7 @@ from torch import Tensor
 
 from baselines.tae.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from baselines.train.config import TrainingConfig
+from baselines.train.state import state_path
 from rema_data.errors import RemaError, RunMismatchError
 from rema_data.loader.release import Release
 
@@ -51,6 +53,8 @@ class Trained:
 def trained(release: Release, config: TrainingConfig, folder: Path, name: str) -> Trained | None:
     """The finished training of this configuration and data in ``folder``, if it is there.
 
+    What a kill after its last file left of its state is removed.
+
     Raises
     ------
     RunMismatchError
@@ -68,6 +72,7 @@ def trained(release: Release, config: TrainingConfig, folder: Path, name: str) -
             hint="choose another --output or --name",
             path=str(folder / name),
         )
+    shutil.rmtree(state_path(folder, name), ignore_errors=True)
     return Trained(folder, name, about, already=True)
 
 

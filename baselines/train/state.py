@@ -8,18 +8,22 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+import os
+import socket
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from filelock import FileLock, Timeout
 from safetensors.torch import load, save
 from torch import Tensor
 
-from rema_data.errors import RunMismatchError
+from rema_data.errors import InputError, RunMismatchError
 from rema_data.storage import storage_errors, write_atomic
 
-__all__ = ["TrainingState", "read_state", "write_state"]
+__all__ = ["TrainingState", "locked", "read_state", "state_path", "write_state"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +43,41 @@ class TrainingState:
     update: int
     tensors: Mapping[str, Tensor]
     facts: dict[str, Any]
+
+
+def state_path(folder: Path, name: str) -> Path:
+    """Where the state of the training of ``folder / name`` lies."""
+    return folder / f".{name}.training"
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Work on a training alone; its folder is created where it is missing.
+
+    Raises
+    ------
+    InputError
+        Another process works there: the message says which.
+    StorageError
+        The folder cannot be created.
+    """
+    with storage_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        lock, owner = FileLock(folder / ".lock", timeout=0), folder / "owner.txt"
+        try:
+            lock.acquire()
+        except Timeout as error:
+            who = owner.read_text(encoding="utf-8") if owner.is_file() else "another process"
+            raise InputError(
+                f"{who} is at this training: {folder}",
+                hint="wait for it, or choose another --output or --name",
+                path=str(folder),
+            ) from error
+    try:
+        write_atomic(owner, f"process {os.getpid()} on {socket.gethostname()}")
+        yield
+    finally:
+        lock.release()
 
 
 def write_state(folder: Path, identity: Mapping[str, Any], state: TrainingState) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,10 @@ def config() -> TrainingConfig:
     return TrainingConfig("grasp", ("grasp", "grasp_push"), updates=9, validate_every=3, architecture=SMALL)
 
 
-def tree(folder: Path) -> dict[str, bytes]:
-    """Every file of a folder of networks but the measures, which hold times."""
-    return {path.name: path.read_bytes() for path in folder.iterdir() if not path.name.endswith(".jsonl")}
+def tree(folder: Path) -> dict[str, object]:
+    """Every file of a folder of networks but the measures, which hold times; cards without the commit of the code."""
+    return {
+        path.name: {**json.loads(path.read_bytes()), "commit": ""} if path.suffix == ".json" else path.read_bytes()
+        for path in folder.iterdir()
+        if not path.name.endswith(".jsonl")
+    }

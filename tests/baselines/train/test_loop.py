@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,7 +21,7 @@ from baselines.tae.checkpoint import load_checkpoint, networks_in
 from baselines.train import loop
 from baselines.train.config import TrainingConfig
 from baselines.train.loop import DivergedError, train, trained
-from rema_data.errors import MissingFileError, RunMismatchError
+from rema_data.errors import InputError, MissingFileError, RunMismatchError
 from tests.baselines.train.conftest import tree
 
 ROOT = Path(__file__).parents[3]
@@ -36,6 +37,12 @@ def interrupted_at(update: int) -> loop.Report:
             raise Interruption
 
     return report
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every frozen list is read once for the module (``undisturbed``), not by each training: see ``test_data``."""
+    monkeypatch.setattr("baselines.train.data.refuse_test_scenes", lambda *_: None)
 
 
 @pytest.fixture(scope="module")
@@ -134,6 +141,29 @@ def test_a_loss_that_is_no_number(
         assert "none was good enough" in caught.value.message and not (tmp_path / "diverged").exists()
     done = train(release, config, tmp_path, "grasp")  # without the poison, from the last state
     assert not done.already and set(networks_in(tmp_path)) == {"grasp"}
+
+
+def test_two_trainings_of_one_name(release: rema_data.Release, config: TrainingConfig, tmp_path: Path) -> None:
+    """The second one is told who is there, and leaves the first one alone."""
+
+    def begun_again(update: int, facts: dict[str, Any]) -> None:
+        if update == 4:
+            with pytest.raises(InputError, match=f"process {os.getpid()} on .* is at this training") as caught:
+                train(release, config, tmp_path, "grasp")
+            assert str(tmp_path / ".grasp.training") in caught.value.message and "wait" in caught.value.hint
+
+    assert not train(release, config, tmp_path, "grasp", report=begun_again).already
+    assert not (tmp_path / ".grasp.training").exists()
+
+
+def test_what_a_kill_left_of_a_finished_training_goes(
+    release: rema_data.Release, config: TrainingConfig, undisturbed: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(undisturbed, tmp_path / "out")
+    (tmp_path / "out" / ".grasp.training").mkdir()
+    (tmp_path / "out" / ".grasp.training" / "state-00000009.json").write_text("{}")
+    found = trained(release, config, tmp_path / "out", "grasp")
+    assert found is not None and found.already and not (tmp_path / "out" / ".grasp.training").exists()
 
 
 def test_one_seed_one_network(release: rema_data.Release, config: TrainingConfig, tmp_path: Path) -> None:
