@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from baselines.devices import check_players
 from baselines.rounds.behaviour import BehaviourPolicies
 from baselines.rounds.chunk import CHUNK_EPISODES, EncodedChunk, cut
 from baselines.rounds.planned import CollectionPlan
@@ -81,7 +82,8 @@ def collect(
     RunMismatchError
         There is another release of that name, here or among the published ones, or episodes of another plan.
     InputError
-        Another process is collecting it, or the parent does not have a round.
+        Another process is collecting it, the parent does not have a round, or a policy needs OpenVINO, which is not
+        installed.
     SubmissionError, PolicyFailureError
         A policy cannot be loaded, or gave no action.
     InfrastructureError
@@ -202,6 +204,7 @@ class _Collection:
             shutil.rmtree(self.work, ignore_errors=True)
             return found
         self.check_name()
+        check_players(self.plan.blocks, str(self.plan.path))
         # Episodes made by other code must not be mixed; a finished release is not affected by it.
         identity = self.data_identity() | {"code": self.backend.observation_hash}
         with WorkFolder.locked(self.work, identity) as work:

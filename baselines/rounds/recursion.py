@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
+from baselines.devices import check_players, training_device
 from baselines.rounds.collect import collect
 from baselines.rounds.notes import PLAYERS, STAGES, note
 from baselines.rounds.recursion_plan import NetworkPlan, RecursionPlan, RoundPlan
@@ -95,11 +96,16 @@ def recurse(
     ------
     RemaError
         As ``collect`` and ``train``; what is finished stays.
+    InputError
+        A device of the trainings, or of a round that is to be played, is not there: before anything is done.
     RunMismatchError
         A release or a network of that name is there, made by another plan: see ``check_sealed`` and ``trained`` for
         what is compared.
     """
     recursion = _Recursion(plan, releases, watcher, workers, device)
+    for entry in plan.rounds:
+        if entry.collection is not None and not (releases / entry.release / MANIFEST).is_file():
+            check_players(plan.outline(entry.number).blocks, str(plan.path))
     done: list[Stage] = []
     for entry in plan.rounds:
         work: list[Callable[[RoundPlan], Stage]] = [recursion.collect]
@@ -170,6 +176,7 @@ class _Recursion:
     def __init__(self, plan: RecursionPlan, releases: Path, watcher: Watcher, workers: int | None, device: str) -> None:
         self.plan, self.releases, self.watcher = plan, releases, watcher
         self.workers, self.device = workers, device
+        training_device(device)  # hours of collection may come before the first training
         self.networks = releases / CHECKPOINTS / plan.name
 
     def collect(self, entry: RoundPlan) -> Stage:

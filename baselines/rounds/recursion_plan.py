@@ -125,14 +125,29 @@ class RecursionPlan:
         """
         entry = self.rounds[number - 1]
         assert entry.collection is not None
-        content = {**self.about, "name": entry.release}
+        content = self._content(number, _with_checkpoints(entry.collection, (releases / CHECKPOINTS).resolve()))
         if number > 1:
             content["parent"] = str((releases / self.rounds[number - 2].release).resolve())
         if number < len(self.rounds):
             content["title"] = f"{self.about['title']}: rounds 1 to {number}"
-        own = _with_checkpoints(entry.collection, (releases / CHECKPOINTS).resolve())
-        content["rounds"] = _in_place(number, own)
         return read_plan(content, self.path)
+
+    def outline(self, number: int) -> CollectionPlan:
+        """The same while its networks and the rounds before it are not there yet.
+
+        Raises
+        ------
+        MissingFileError, InputError
+            As for any collection plan.
+        """
+        collection = self.rounds[number - 1].collection
+        assert collection is not None
+        content = self._content(number, collection) | {"parent": self.rounds[0].release}
+        return read_plan(content, self.path, networks_later=True)
+
+    def _content(self, number: int, collection: dict[str, Any]) -> dict[str, Any]:
+        rounds = [*[{"reuse": True}] * (number - 1), collection]
+        return {**self.about, "name": self.rounds[number - 1].release, "rounds": rounds}
 
 
 def load_recursion(path: Path) -> RecursionPlan:
@@ -176,7 +191,9 @@ def load_recursion(path: Path) -> RecursionPlan:
             hint=f"folders of networks: {', '.join(sorted(folders)) or 'none'}",
         )
     plan = RecursionPlan(path, about, tuple(rounds), policies)
-    _check_rounds(plan)
+    for entry in plan.rounds:
+        if entry.collection is not None:
+            plan.outline(entry.number)  # every complaint before hours of work begin
     return plan
 
 
@@ -218,18 +235,3 @@ def _with_checkpoints(table: dict[str, Any], root: Path) -> dict[str, Any]:
     for use in _uses(made):
         use["checkpoint"] = str(root / str(use["checkpoint"]))
     return made
-
-
-def _in_place(number: int, table: dict[str, Any]) -> list[dict[str, Any]]:
-    """The rounds of a collection plan for one round: those before it are reused."""
-    return [*[{"reuse": True}] * (number - 1), table]
-
-
-def _check_rounds(plan: RecursionPlan) -> None:
-    """Check everything but the networks, which are not there yet, before hours of work begin."""
-    for entry in plan.rounds:
-        if entry.collection is None:
-            continue
-        content = {**plan.about, "name": entry.release, "rounds": _in_place(entry.number, entry.collection)}
-        content["parent"] = plan.rounds[0].release
-        read_plan(content, plan.path, networks_later=True)

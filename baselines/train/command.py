@@ -69,6 +69,7 @@ def train(
     A training that was stopped, or killed, goes on where its last state was saved: run the same command again. The
     weights with the best validation AUC become OUTPUT/NAME.safetensors, with a JSON file that says what they are.
     """
+    from baselines.devices import training_device
     from baselines.tae.network import Architecture
     from baselines.train.config import TrainingConfig
     from baselines.train.loop import train as run
@@ -78,6 +79,7 @@ def train(
     shape = Architecture(width, scene_stride, ee_stride, up_align_corners, correlation_scale)
     config = TrainingConfig(**values, architecture=shape)
     chosen = name or config.primitive
+    training_device(device)  # before a release is fetched from its files
     with StderrProgress() as progress:
         report = reporter(progress, f"train {chosen}", config.updates)
         opened = load(release)

@@ -13,6 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from baselines.devices import training_device
 from baselines.tae.checkpoint import Checkpoint
 from baselines.tae.network import TaeNetwork
 from baselines.train.config import TrainingConfig
@@ -64,7 +65,7 @@ def train(
     Raises
     ------
     InputError, MissingFileError, IntegrityError
-        See ``open_data``; or another process is at the same training.
+        See ``open_data``; or another process is at the same training, or the device is not there.
     RunMismatchError
         The folder holds another training under the name.
     DivergedError
@@ -73,10 +74,11 @@ def train(
     StorageError
         The disk is full.
     """
+    where = training_device(device)
     done = trained(release, config, folder, name)
     if done is not None:
         return done
-    run = _Training(release, config, folder, name, torch.device(device), report)
+    run = _Training(release, config, folder, name, where, report)
     before = torch.are_deterministic_algorithms_enabled()
     torch.use_deterministic_algorithms(deterministic)
     try:

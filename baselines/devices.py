@@ -1,0 +1,66 @@
+"""Devices by their names: one that this machine lacks is refused before any work begins."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+from evaluator.policy.loading import BUILT_INS
+from rema_data.errors import InputError
+
+if TYPE_CHECKING:
+    import torch
+
+    from baselines.rounds.planned import BlockPlan
+
+__all__ = ["LEARNED", "check_players", "training_device"]
+
+LEARNED = frozenset(name for name, place in BUILT_INS.items() if place.endswith(":TaePolicy"))
+"""The built-in policies that are networks."""
+_OPENVINO = "openvino"
+
+
+def training_device(name: str) -> torch.device:
+    """The device of torch that a name means, tried out.
+
+    Raises
+    ------
+    InputError
+        There is no such device on this machine, or nothing can be computed on it.
+    """
+    import torch
+
+    try:
+        device = torch.device(name)
+        torch.zeros(1, device=device).item()
+    except (RuntimeError, AssertionError, NotImplementedError, ImportError) as error:
+        what = "OpenVINO answers, but cannot train" if name == _OPENVINO else (str(error).splitlines() or [""])[0]
+        raise InputError(
+            f"no training on the device {name!r} here: {what}", hint=f"use one of: {', '.join(_usable())}", device=name
+        ) from error
+    return device
+
+
+def check_players(blocks: Iterable[BlockPlan], where: str) -> None:
+    """Raise where a learned policy of some blocks is to compute with OpenVINO, which is not installed.
+
+    Raises
+    ------
+    InputError
+    """
+    for block in blocks:
+        asked = any(use.device == _OPENVINO and use.spec.name in LEARNED for use in block.policies)
+        if asked and find_spec(_OPENVINO) is None:
+            raise InputError(
+                f"{where}: rounds[{block.key.round}] is played on the device openvino, and OpenVINO is not installed",
+                hint='pip install "rema[openvino]", or write device = "cpu": slower, the same answers up to rounding',
+                round=block.key.round,
+            )
+
+
+def _usable() -> list[str]:
+    import torch
+
+    found = ["cpu", *(f"cuda:{n}" for n in range(torch.cuda.device_count()))]
+    return [*found, "mps"] if torch.backends.mps.is_available() else found
