@@ -39,6 +39,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
+from baselines.devices import LEARNED
 from baselines.rounds.planned import BlockPlan, CollectionPlan, PolicyUse
 from evaluator.policy.loading import check_checkpoint, resolve
 from evaluator.policy.shipped import shipped_checkpoint
@@ -215,7 +216,12 @@ class _Reader:
     def _checkpoint(self, where: str, table: Mapping[str, Any], policy: str) -> Path | None:
         """The networks that a policy names, else those that come with it."""
         if "checkpoint" not in table:
-            return shipped_checkpoint(policy)
+            shipped = shipped_checkpoint(policy)
+            if shipped is None and policy in LEARNED:
+                raise InputError(
+                    f"{policy} has no networks of its own", hint='name them: { code = "tae", checkpoint = "FOLDER" }'
+                )
+            return shipped
         named = self._beside(self._text(f"{where}.checkpoint", table["checkpoint"]))
         return named if self._networks_later else check_checkpoint(named)
 

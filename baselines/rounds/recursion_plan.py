@@ -173,10 +173,20 @@ def load_recursion(path: Path) -> RecursionPlan:
     known: set[str] = set()
     for number, entry in enumerate(entries, 1):
         own = copy.deepcopy(entry)
-        networks = tuple(_network(path, number, table) for table in own.pop("networks", []))
+        tables = own.pop("networks", [])
+        if not isinstance(tables, list):
+            raise InputError(
+                f"{path}: rounds[{number}].networks is {tables!r}", hint="write a table [[rounds.networks]] for each"
+            )
+        networks = tuple(_network(path, number, table) for table in tables)
         if own.get("reuse") is True:
             if not isinstance(base, str):
                 raise InputError(f"{path}: rounds[{number}].reuse lacks its source", hint='write begins_with = "..."')
+            if others := [key for key in own if key != "reuse"]:
+                raise InputError(
+                    f"{path}: rounds[{number}].{others[0]} is not a key of a round that is reused",
+                    hint="known here: reuse, networks; leave out reuse to collect the round",
+                )
             rounds.append(RoundPlan(number, f"{base}-round-{number}", None, networks))
         else:
             _check_networks(path, number, own, known, base)
@@ -185,7 +195,7 @@ def load_recursion(path: Path) -> RecursionPlan:
         known |= {f"{name}/{network.folder}" for network in networks}
     policies = content.get("policies", {})
     folders = {network.folder for entry in rounds for network in entry.networks}
-    if not isinstance(policies, dict) or not set(policies.values()) <= folders:
+    if not isinstance(policies, dict) or not all(folder in folders for folder in map(str, policies.values())):
         raise InputError(
             f"{path}: policies = {policies!r} names networks that no round trains",
             hint=f"folders of networks: {', '.join(sorted(folders)) or 'none'}",

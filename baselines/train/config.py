@@ -73,13 +73,16 @@ class TrainingConfig:
 
     def __post_init__(self) -> None:
         for name, allowed in _CHOICES.items():
-            if getattr(self, name) not in allowed:
+            if not isinstance(getattr(self, name), str) or getattr(self, name) not in allowed:
                 raise InputError(f"{name} = {getattr(self, name)!r} is unknown", hint=f"use {' or '.join(allowed)}")
         for name, least in _LEAST.items():
             value = getattr(self, name)
             if not isinstance(value, int) or isinstance(value, bool) or value < least:
                 raise InputError(f"{name} = {value!r} is not possible", hint=f"give a whole number from {least} on")
-        if not 0 < self.learning_rate < 1:
+        for name in ("rotate", "mirror"):
+            if not isinstance(getattr(self, name), bool):
+                raise InputError(f"{name} = {getattr(self, name)!r} is not possible", hint="write true or false")
+        if not isinstance(self.learning_rate, int | float) or not 0 < self.learning_rate < 1:
             raise InputError(f"learning_rate = {self.learning_rate!r} is not possible", hint="give one such as 1e-4")
         if not self.tasks:
             raise InputError("a training needs tasks", hint=f"choose some of: {', '.join(TASKS)}")
@@ -117,11 +120,16 @@ class TrainingConfig:
         made = dict(values)
         for name in ("tasks", "skills"):
             if name in made:
-                if not isinstance(made[name], list | tuple):
-                    raise InputError(f"{name} = {made[name]!r} is no list", hint='write tasks = ["grasp"]')
+                if not isinstance(made[name], list | tuple) or not all(isinstance(one, str) for one in made[name]):
+                    raise InputError(f"{name} = {made[name]!r} is no list of names", hint=f'write {name} = ["grasp"]')
                 made[name] = tuple(made[name])
-        if not isinstance(made.get("architecture"), Architecture | None):
-            made["architecture"] = Architecture.from_dict(made["architecture"])
+        shape = made.get("architecture", Architecture())
+        if isinstance(shape, Mapping):
+            made["architecture"] = Architecture.from_dict(shape)
+        elif not isinstance(shape, Architecture):
+            raise InputError(
+                f"architecture = {shape!r} is no table", hint="write architecture = { width = 64 }, or leave it out"
+            )
         return cls(**made)
 
     def to_dict(self) -> dict[str, Any]:

@@ -69,6 +69,7 @@ def test_a_task_can_have_its_own_values(tmp_path: Path) -> None:
         ('policy = "random"', "policy = 3", "rounds[1].tasks.grasp.policy"),
         ('policy = "random"', 'policy = { code = "random", weights = "w" }', "rounds[1].tasks.grasp.policy.weights"),
         ('policy = "random"', 'policy = "gone.py"', "rounds[1].tasks.grasp.policy"),
+        ('policy = "random"', 'policy = "tae"', "rounds[1].tasks.grasp.policy"),
         ('policy = "random"', 'policy = { code = "random", checkpoint = "gone" }', "rounds[1].tasks.grasp.policy"),
         ('picks = "reference"', "", "rounds[2].tasks.grasp_grasp_push.picks"),
         ("episodes = { train = 12, val = 3 }", "", "rounds[1].tasks.grasp.episodes"),

@@ -108,6 +108,11 @@ def written(folder: Path, *changes: tuple[str, str]) -> Path:
         (("width = 8", "width = 7"), "width = 7"),
         (("seed = 1", "seed = -1"), "seed"),
         (('policy = "random"', "reuse = true"), "lacks its source"),
+        (("seed = 1", 'seed = 1\npolicies = { tae-joint = ["joint"] }'), "names networks that no round trains"),
+        (("[[rounds.networks]]", "networks = 3\n[[rounds]]"), "rounds[1].networks is 3"),
+        (("learning_rate = 3e-3", 'learning_rate = "3e-3"'), "learning_rate"),
+        (("seed = 1", 'seed = 1\nbegins_with = "older"\n[[rounds]]\nreuse = true\nepisodes = 3'), "rounds[1].episodes"),
+        (('picks = { code = "tae", checkpoint = "tiny-recursion/round-2" }', 'picks = "tae"'), "rounds[3]"),
     ],
 )
 def test_plans_that_cannot_be_carried_out(tmp_path: Path, change: tuple[str, str], words: str) -> None:
