@@ -22,6 +22,7 @@ _MEGABYTE = 1_000_000
 @click.option("--checkpoint", type=click.Path(path_type=Path), help="Weights of --policy, as for `rema evaluate`.")
 @click.option("--device", default="cpu", show_default=True, help="Handed to the policy, such as cuda:0.")
 @click.option("--scored", type=click.IntRange(0, 10_000), default=200, show_default=True, help="Episodes to calibrate.")
+@click.option("--sandbox", metavar="CMD", help="Wrapper of the policy's process, as for `rema evaluate`.")
 @click.option("--limit-mb", type=click.FloatRange(min=0.5), default=15.0, show_default=True, help="Size of the page.")
 @click.option("--json", "as_json", is_flag=True, help="Print one object.")
 def report(
@@ -32,6 +33,7 @@ def report(
     checkpoint: Path | None,
     device: str,
     scored: int,
+    sandbox: str | None,
     limit_mb: float,
     as_json: bool,
 ) -> None:
@@ -50,9 +52,11 @@ def report(
 
     if checkpoint is not None and policy is None:
         raise InputError("--checkpoint belongs to a policy", hint="name it with --policy, or drop --checkpoint")
+    if sandbox is not None and policy is None:
+        raise InputError("--sandbox belongs to a policy", hint="name it with --policy, or drop --sandbox")
     spec = None if policy is None else resolve(policy)
     weights = None if spec is None else check_checkpoint(checkpoint) or shipped_checkpoint(spec.name)
-    options = ReportOptions(per_label, int(limit_mb * _MEGABYTE), spec, weights, device, scored)
+    options = ReportOptions(per_label, int(limit_mb * _MEGABYTE), spec, weights, device, scored, sandbox)
     with StderrProgress() as progress:
         written = write_report(run, output, options, progress)
     if as_json:

@@ -4,7 +4,8 @@
 
     loading   "my_policy.py:Name" or a built-in name  ->  PolicySpec (a file and a class, nothing imported)
     shipped   a built-in name  ->  the networks that come with the repository
-    host      the judge's end: one child process, deadlines, contract checks  ->  answers or counted faults
+    host      the judge's end: batches, contract checks  ->  answers or counted faults
+    session   one child process: deadlines, the time of all questions, restarts
     enclosure what that process is started with: command, environment, limits, what it may reach
     walls     inside it, before anything of the policy is read: the kernel denies the rest
     child     the policy's end: imports the file and answers batches

@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 
 from evaluator.policy.interface import ObservationBatch
-from evaluator.policy.wire import MAX_HEADER, frame_parts, read_batch, read_frame, situations_from_header
+from evaluator.policy.wire import MAX_HEADER, REPLIES, frame_parts, read_batch, read_frame, situations_from_header
+from rema_data import grid
 
 _TRACEBACK_LINES = 12
 _MESSAGE_CHARACTERS = 2000
@@ -63,8 +64,8 @@ def serve(request_fd: int, reply_fd: int, report: dict[str, Any]) -> None:
         header, arrays = questions.get()
         if header["op"] == "close":
             return
-        reply, answer = _act(policy, privileged, header, arrays, own_folder)
-        _reply(reply_fd, {"op": "acted", "number": header["number"], **reply}, answer)
+        reply, answer = _answer(policy, privileged, header, arrays, own_folder)
+        _reply(reply_fd, {"op": REPLIES[header["op"]], "number": header["number"], **reply}, answer)
 
 
 def _listen(request_fd: int, questions: queue.Queue[Question]) -> None:
@@ -112,26 +113,47 @@ def _load(order: dict[str, Any]) -> tuple[Any, bool]:
     return kind(checkpoint, order["device"]), getattr(kind, "privileged", False) is True
 
 
-def _act(
+def _answer(
     policy: Any, privileged: bool, header: dict[str, Any], arrays: dict[str, Any], own_folder: str
 ) -> tuple[dict[str, Any], np.ndarray[Any, Any] | None]:
     """Ask the policy; the reply's header, and the answer where there is one."""
     batch: ObservationBatch = read_batch(header, arrays)
-    count = len(batch)
     try:
-        if privileged:
+        if header["op"] == "maps":
+            answer = np.asarray(_maps_of(policy)(batch), np.float32)
+        elif privileged:
             answer = np.asarray(policy.act(batch, situations_from_header(header)))
         else:
             answer = np.asarray(policy.act(batch))
     except BaseException as error:
         return {"ok": False, "reason": "exception", **_describe(error, own_folder)}, None
-    if answer.shape not in ((count, 3), (count,)):
-        detail = f"returned shape {answer.shape}, expected ({count}, 3) or ({count},)"
-        return {"ok": False, "reason": "wrong_shape", "message": detail, "where": ""}, None
-    if answer.dtype.kind not in "biuf" or answer.dtype.itemsize > 8:
-        detail = f"returned dtype {answer.dtype}, expected integers"
-        return {"ok": False, "reason": "wrong_dtype", "message": detail, "where": ""}, None
+    wrong = (_wrong_maps if header["op"] == "maps" else _wrong_actions)(answer, len(batch))
+    if wrong is not None:
+        reason, detail = wrong
+        return {"ok": False, "reason": reason, "message": detail, "where": ""}, None
     return {"ok": True}, answer
+
+
+def _maps_of(policy: Any) -> Any:
+    if not callable(getattr(policy, "maps", None)):
+        raise Refusal(f"class {type(policy).__name__} has no method maps(observations)")
+    return policy.maps
+
+
+def _wrong_actions(answer: np.ndarray[Any, Any], count: int) -> tuple[str, str] | None:
+    """What keeps an answer from being sent: the judge looks at the numbers in it."""
+    if answer.shape not in ((count, 3), (count,)):
+        return "wrong_shape", f"returned shape {answer.shape}, expected ({count}, 3) or ({count},)"
+    if answer.dtype.kind not in "biuf" or answer.dtype.itemsize > 8:
+        return "wrong_dtype", f"returned dtype {answer.dtype}, expected integers"
+    return None
+
+
+def _wrong_maps(answer: np.ndarray[Any, Any], count: int) -> tuple[str, str] | None:
+    wanted = (count, grid.SCENE_PIXELS, grid.SCENE_PIXELS)
+    if answer.ndim == 4 and answer.shape[:3] == wanted and 1 <= answer.shape[3] <= grid.ANGLES:
+        return None
+    return "wrong_shape", f"maps has shape {answer.shape}, expected {(*wanted, grid.ANGLES)} or fewer angles"
 
 
 def _describe(error: BaseException, own_folder: str) -> dict[str, Any]:

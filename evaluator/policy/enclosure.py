@@ -39,8 +39,8 @@ class Enclosure:
     checkpoint : Path or None
         Absolute.
     limits : PolicyLimits
-    log : Path or None
-        Inside the folder of the run, which the policy must not see.
+    run : Path or None
+        Folder of the run, which the policy must not see.
     walls : bool
         Whether the kernel is asked to deny what the policy has no need of.
     sandbox : str or None
@@ -55,7 +55,7 @@ class Enclosure:
     policy: Path
     checkpoint: Path | None = None
     limits: PolicyLimits = field(default_factory=PolicyLimits)
-    log: Path | None = None
+    run: Path | None = None
     walls: bool = True
     sandbox: str | None = None
 
@@ -116,9 +116,9 @@ class Enclosure:
 
     def _runs(self) -> list[Path]:
         """The folder of this run, and those beside it."""
-        if self.log is None:
+        if self.run is None:
             return []
-        run = self.log.resolve().parent
+        run = self.run.resolve()
         beside = run.parent.iterdir() if run.parent.is_dir() else ()
         return [run, *(folder for folder in beside if (folder / _RUN_FILE).is_file())]
 

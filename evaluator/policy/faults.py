@@ -15,7 +15,7 @@ import numpy.typing as npt
 from evaluator.policy.refusals import printable
 from rema_data import grid
 
-__all__ = ["Answer", "FaultReason", "PolicyFault", "check_answer", "reported_fault"]
+__all__ = ["Answer", "FaultReason", "PolicyFault", "check_answer", "check_maps", "reported_fault"]
 
 _BOUNDS = (grid.SCENE_PIXELS, grid.SCENE_PIXELS, grid.ANGLES)
 
@@ -77,6 +77,16 @@ def check_answer(answer: npt.NDArray[np.generic], valid: npt.NDArray[np.bool_]) 
     if answer.ndim == 1:
         return [_check_index(int(index), valid[n]) for n, index in enumerate(answer)]
     return [_check_cell((int(row[0]), int(row[1]), int(row[2])), valid[n]) for n, row in enumerate(answer)]
+
+
+def check_maps(maps: npt.NDArray[np.generic], count: int) -> npt.NDArray[np.float32] | PolicyFault:
+    """Scores that a policy returned as float32 (count, 64, 64, K), or why they are none."""
+    if maps.ndim != 4 or maps.shape[:3] != (count, *_BOUNDS[:2]) or not 1 <= maps.shape[3] <= grid.ANGLES:
+        expected = (count, *_BOUNDS)
+        return PolicyFault(FaultReason.SHAPE, f"maps has shape {maps.shape}, expected {expected} or fewer angles")
+    if maps.dtype.kind != "f":
+        return PolicyFault(FaultReason.DTYPE, f"maps has dtype {maps.dtype}, expected floating point")
+    return maps.astype(np.float32)
 
 
 def _wrong_number(row: npt.NDArray[np.generic], dtype: np.dtype[np.generic]) -> PolicyFault:

@@ -28,6 +28,7 @@ from rema_data.schema import Grip, Pinch, Placement, Situation, spec_from_dict, 
 
 __all__ = [
     "MAX_HEADER",
+    "REPLIES",
     "WireError",
     "batch_frame",
     "frame_parts",
@@ -38,6 +39,8 @@ __all__ = [
 
 MAX_HEADER = 16 << 20
 """Longest header, bytes: room for the situations of a large batch."""
+REPLIES = {"act": "acted", "maps": "mapped"}
+"""Questions about a batch, and the replies to them."""
 _LENGTH = struct.Struct(">I")
 _AXES = 8
 _NUMBERS = ("i2", "u2", "i4", "u4", "i8", "u8", "f2", "f4", "f8")
@@ -137,11 +140,11 @@ def _array(described: _Described, read: Read) -> Array:
 
 
 def batch_frame(
-    number: int, batch: ObservationBatch, situations: tuple[Situation, ...] | None
+    number: int, batch: ObservationBatch, situations: tuple[Situation, ...] | None, op: str = "act"
 ) -> Iterator[bytes | memoryview]:
-    """The question ``number``: act on this batch."""
+    """The question ``number`` about this batch: ``op`` is one of ``REPLIES``."""
     header: dict[str, Any] = {
-        "op": "act",
+        "op": op,
         "number": number,
         "primitive": batch.primitive,
         "embodiment": batch.embodiment,

@@ -1,38 +1,58 @@
 """What the policy of a run thought of its actions: its scores, asked for again, and how they turned out.
 
 A run records actions, not scores. A policy that has a method ``maps(observations)``, as the learned baselines do,
-can be asked again in a process of its own (``score_child.py``), which runs with the rights of the user.
+can be asked again: in a process of its own, behind the walls that stood around it when it was evaluated.
 """
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-import evaluator
-from evaluator.policy.loading import PolicySpec, check_checkpoint, digest
+from evaluator.policy import ObservationBatch, PolicyFault, PolicyHost
+from evaluator.policy.loading import PolicySpec, digest
+from evaluator.policy.refusals import printable
 from evaluator.report.breakdown import Group, group
 from evaluator.report.finished import FinishedRun, Row
 from evaluator.report.selection import spread
 from evaluator.sim.observation import observe
 from evaluator.sim.reach import valid_actions
+from rema_data import grid
 from rema_data.errors import RunMismatchError, SubmissionError
 from rema_data.schema import Scenario, Situation
 
-__all__ = ["Bin", "Scored", "ask_scores", "calibration", "check_policy", "scored_episodes", "situation_of"]
+__all__ = ["Asked", "Bin", "Scored", "ask_scores", "calibration", "check_policy", "scored_episodes", "situation_of"]
 
 BATCH = 16
 CUTS = (0.2, 0.4, 0.6, 0.8)
 """Shares of the episodes at which the calibration is cut; equal scores stay together."""
-_LIMIT_S = 3600.0
+_SAID = 1000  # characters of what it printed
+
+Note = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """Who is asked for scores.
+
+    Attributes
+    ----------
+    policy : PolicySpec
+    checkpoint : Path or None
+    device : str
+        Handed to the policy.
+    sandbox : str or None
+        Wrapper of its process, as for ``rema evaluate``.
+    """
+
+    policy: PolicySpec
+    checkpoint: Path | None = None
+    device: str = "cpu"
+    sandbox: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,17 +109,18 @@ def scored_episodes(run: FinishedRun, count: int) -> list[Row]:
 
 
 def ask_scores(
-    policy: PolicySpec, checkpoint: Path | None, device: str, questions: Sequence[tuple[Situation, int]]
+    asked: Asked, questions: Sequence[tuple[Situation, int]], run: Path | None = None, note: Note | None = None
 ) -> list[Scored]:
     """Scores of some situations and of the actions that were taken in them.
 
     Parameters
     ----------
-    policy : PolicySpec
-    checkpoint : Path or None
-    device : str
-        Handed to the policy.
+    asked : Asked
     questions : sequence of (Situation, int)
+    run : Path or None
+        Folder of the run, whose outcomes the policy must not see.
+    note : callable, optional
+        Told which walls stand around the policy.
 
     Raises
     ------
@@ -110,64 +131,49 @@ def ask_scores(
     for number, (situation, _) in enumerate(questions):
         by_step.setdefault((situation.task, situation.step), []).append(number)
     found: dict[int, Scored] = {}
-    for numbers in by_step.values():
-        with tempfile.TemporaryDirectory(prefix="rema-scores-") as folder:
-            part = [questions[number] for number in numbers]
-            found.update(zip(numbers, _ask(policy, checkpoint, device, part, Path(folder)), strict=True))
+    with PolicyHost(asked.policy, asked.checkpoint, asked.device, run=run, sandbox=asked.sandbox) as host:
+        if note is not None:
+            note(f"policy isolation {host.isolation}")
+        for numbers in by_step.values():
+            for start in range(0, len(numbers), BATCH):
+                part = numbers[start : start + BATCH]
+                found.update(zip(part, _ask(host, [questions[number] for number in part]), strict=True))
     return [found[number] for number in range(len(questions))]
 
 
-def _ask(
-    policy: PolicySpec,
-    checkpoint: Path | None,
-    device: str,
-    questions: Sequence[tuple[Situation, int]],
-    folder: Path,
-) -> list[Scored]:
-    """One process: some questions about the same step."""
-    first = questions[0][0]
+def _ask(host: PolicyHost, questions: Sequence[tuple[Situation, int]]) -> list[Scored]:
+    """Scores of some questions about the same step, put at once."""
+    first, actions = questions[0][0], np.array([action for _, action in questions])
     seen = [observe(situation) for situation, _ in questions]
-    weights = check_checkpoint(checkpoint)
-    np.savez(
-        folder / "questions.npz",
+    valid = valid_actions(first.task, first.step)
+    batch = ObservationBatch(
         scene=np.stack([one.scene_m() for one in seen]),
         end_effector=np.stack([one.end_effector() for one in seen]),
-        valid=valid_actions(first.task, first.step),
-        action=np.array([action for _, action in questions]),
-        words=np.array([first.kind.primitive.value, first.kind.embodiment.value, first.task]),
+        primitive=first.kind.primitive.value,
+        embodiment=first.kind.embodiment.value,
+        task=first.task,
         step=first.step,
-        policy=np.array([str(policy.path), policy.class_name, device, "" if weights is None else str(weights)]),
-        batch=BATCH,
+        valid=np.broadcast_to(valid, (len(seen), *valid.shape)),
     )
-    root = Path(evaluator.__file__).resolve().parents[1]
-    command = [sys.executable, "-P", "-m", "evaluator.report.score_child", "questions.npz", "answers.npz"]
-    try:
-        done = subprocess.run(
-            command,
-            cwd=folder,
-            env=_environment(root),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-            errors="replace",
-            timeout=_LIMIT_S,
-        )
-    except subprocess.TimeoutExpired as error:
-        raise SubmissionError(
-            f"policy {policy.name} gave no maps in {_LIMIT_S:g} s", hint="leave --policy out"
-        ) from error
-    if done.returncode:
-        words = done.stderr.strip().splitlines() or [f"its process ended with {done.returncode}"]
-        raise SubmissionError(
-            f"policy {policy.name} gave no maps: {words[-1]}", hint=f"mend {policy.path}, or leave --policy out"
-        )
-    with np.load(folder / "answers.npz", allow_pickle=False) as answers:
-        return [Scored(float(chosen), best) for chosen, best in zip(answers["chosen"], answers["best"], strict=True)]
+    scores = host.maps(batch)
+    if isinstance(scores, PolicyFault):
+        raise _no_maps(host, scores.detail)
+    i, j, k = grid.decode(actions)
+    if (k >= scores.shape[3]).any():
+        raise _no_maps(host, "maps has no score for an angle that the policy chose")
+    chosen = scores[np.arange(len(seen)), i, j, k]
+    allowed = np.where(batch.valid[..., : scores.shape[3]], scores, np.float32(-np.inf)).max(axis=3)
+    best = np.where(np.isfinite(allowed), allowed, np.float32(np.nan))
+    return [Scored(float(one), places) for one, places in zip(chosen, best, strict=True)]
 
 
-def _environment(root: Path) -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": os.pathsep.join([str(root), *(path for path in sys.path if path)])}
+def _no_maps(host: PolicyHost, why: str) -> SubmissionError:
+    said = printable(host.output[-_SAID:]).strip()
+    return SubmissionError(
+        f"policy {host.spec.name} gave no maps: {why}",
+        hint=f"{said}\nmend {host.spec.path}, or leave --policy out".strip(),
+        path=host.spec.path,
+    )
 
 
 def calibration(rows: Sequence[Row], step: int, scores: Sequence[float]) -> list[Bin]:

@@ -57,6 +57,8 @@ class ReportOptions:
         Handed to the policy.
     scored : int
         Episodes whose scores are compared with their outcomes.
+    sandbox : str or None
+        Wrapper of the policy's process, as for ``rema evaluate``.
     """
 
     per_label: int = 3
@@ -65,6 +67,7 @@ class ReportOptions:
     checkpoint: Path | None = None
     device: str = "cpu"
     scored: int = 200
+    sandbox: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,7 +234,7 @@ class _Pictures:
 
 def _pictures(run: FinishedRun, options: ReportOptions, progress: ProgressSink) -> _Pictures:
     from evaluator.report.gallery import make_cards, with_scores
-    from evaluator.report.scores import ask_scores, calibration, check_policy, scored_episodes, situation_of
+    from evaluator.report.scores import Asked, ask_scores, calibration, check_policy, scored_episodes, situation_of
 
     if options.policy is not None:
         check_policy(run, options.policy, options.checkpoint)
@@ -257,7 +260,8 @@ def _pictures(run: FinishedRun, options: ReportOptions, progress: ProgressSink) 
     questions = [(take.situation, take.action) for take in takes]
     questions += [(situation_of(scenarios.scenarios[row["index"]], run), row[f"step{step}_action"]) for row in rows]
     progress.phase("ask", len(questions))
-    answers = ask_scores(options.policy, options.checkpoint, options.device, questions) if questions else []
+    asked = Asked(options.policy, options.checkpoint, options.device, options.sandbox)
+    answers = ask_scores(asked, questions, run.path, progress.note) if questions else []
     progress.advance(len(questions))
     for n, answer in zip(places, answers, strict=False):
         cards[n] = with_scores(cards[n], answer)

@@ -71,6 +71,7 @@ def test_reporting_changes_nothing_else_in_the_run(run: Path) -> None:
     [
         (("nowhere",), "nowhere holds no finished run", 2),
         (("runs/fake", "--checkpoint", "weights"), "--checkpoint belongs to a policy", 2),
+        (("runs/fake", "--sandbox", "env"), "--sandbox belongs to a policy", 2),
         (("runs/fake", "--policy", "nobody"), "no policy is called 'nobody'", 2),
         (("runs/fake", "--policy", "random"), "random is not the policy of runs/fake", 2),
         (("runs/fake", "--per-label", "0", "--output", "runs/fake"), "there is a folder of that name", 2),

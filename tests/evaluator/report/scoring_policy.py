@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import socket
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +38,39 @@ class FlatPolicy(ScoringPolicy):
 
     def maps(self, observations: Any) -> Any:
         return np.zeros((len(observations), 64, 64), np.float32)
+
+
+class RaisingPolicy(ScoringPolicy):
+    """No maps, but words."""
+
+    def maps(self, observations: Any) -> Any:
+        raise ValueError("no idea")
+
+
+class DyingPolicy(ScoringPolicy):
+    """Ends instead."""
+
+    def maps(self, observations: Any) -> Any:
+        os._exit(5)
+
+
+class CuriousPolicy(ScoringPolicy):
+    """Its score is how much it found out."""
+
+    def maps(self, observations: Any) -> Any:
+        found = 0
+        here = Path(__file__).parent
+        for what in (
+            lambda: (here / "runs" / "one" / "episodes.parquet").read_bytes(),
+            lambda: socket.socket().close(),
+            os.fork,
+            lambda: Path("/proc", str(os.getppid()), "environ").read_bytes(),
+        ):
+            with contextlib.suppress(OSError):
+                if what() == 0:
+                    os._exit(0)  # the fork
+                found += 1
+        return np.full((len(observations), 64, 64, 16), found, np.float32)
 
 
 class SilentPolicy:
