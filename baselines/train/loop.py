@@ -69,8 +69,8 @@ def train(
     RunMismatchError
         The folder holds another training under the name.
     DivergedError
-        The loss is NaN or infinite. The best weights so far are kept in the folder ``diverged`` below ``folder``; the
-        training does not count as done.
+        A loss, a weight or an answer is NaN or infinite. The best weights so far are kept in the folder ``diverged``
+        below ``folder``; the training does not count as done.
     StorageError
         The disk is full.
     """
@@ -170,24 +170,34 @@ class _Training:
         return 0.5 * (1 + math.cos(math.pi * self.update / self.config.updates))
 
     def check(self, losses: list[Tensor]) -> None:
-        if bool(torch.isfinite(torch.stack(losses)).all()):
-            return
-        first = int((~torch.isfinite(torch.stack(losses))).nonzero()[0])
-        where = self.update - len(losses) + first + 1
-        kept = "none was good enough to keep"
+        """Raise where a loss, or a weight that the last step left, is not finite: neither is saved or validated."""
+        wrong = (~torch.isfinite(torch.stack(losses))).nonzero()
+        if len(wrong):
+            update = self.update - len(losses) + int(wrong[0]) + 1
+            raise self.diverged(f"the loss of update {update} is not a number", update)
+        for name, tensor in self.weights().items():
+            if not bool(torch.isfinite(tensor).all()):
+                raise self.diverged(f"update {self.update} left weights that are not numbers ({name})", self.update)
+
+    def diverged(self, what: str, update: int) -> DivergedError:
+        """The end of a training without a network; the best weights so far are kept."""
+        kept = "no weights were good enough to keep"
         if self.best is not None:
-            self.save_best(self.folder / DIVERGED)
-            where_kept = self.folder / DIVERGED / self.name
-            kept = f"the best weights so far, those after update {self.best['update']}, are kept as {where_kept}"
-        raise DivergedError(
-            f"the loss of update {where} is not a number; {kept}",
+            place = self.folder / DIVERGED
+            self.save_best(place)
+            kept = f"the best weights, those after update {self.best['update']}, are kept as {place / self.name}"
+        return DivergedError(
+            f"{what}; {kept}",
             hint="train with a smaller learning rate, or another seed: choose another --output for it, or delete "
             f"{self.work}",
-            update=where,
+            update=update,
         )
 
     def validate(self, loss: float, took: dict[str, float]) -> None:
-        measures = validate(self.network, self.data.validation, self.device)
+        try:
+            measures = validate(self.network, self.data.validation, self.device)
+        except DivergedError as error:
+            raise self.diverged(f"after update {self.update} {error.message}", self.update) from error
         entry = {"update": self.update, "training_loss": loss, **took, **measures}
         self.history.append(entry)
         if self.best is None or measures["auc"] > self.best["auc"]:

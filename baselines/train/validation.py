@@ -12,6 +12,7 @@ from torch import Tensor
 
 from baselines.tae.network import TaeNetwork
 from baselines.train.data import prepared
+from baselines.train.result import DivergedError
 from rema_data.loader.batch import StepBatch
 from rema_data.loader.dataset import StepDataset
 
@@ -35,6 +36,11 @@ def validate(network: TaeNetwork, data: StepDataset, device: torch.device) -> di
     dict
         ``auc`` and ``balanced_accuracy`` (means over the skills), ``calibration_error`` and ``loss`` over all steps
         with both labels given equal weight, and ``skills`` with the first two and the counts for each.
+
+    Raises
+    ------
+    DivergedError
+        An answer is not finite.
     """
     was_training = network.training
     network.eval()
@@ -47,7 +53,11 @@ def validate(network: TaeNetwork, data: StepDataset, device: torch.device) -> di
         pair = pixel_logits(network(samples.scene, samples.end_effector), samples.pixel).float()
         scores.append((pair[:, 1] - pair[:, 0]).cpu())
     network.train(was_training)
-    return score(torch.cat(scores).double().numpy(), data.rows.success, data.table["skill"].astype(str).to_numpy())
+    answers = torch.cat(scores).double()
+    wrong = int((~torch.isfinite(answers)).sum())
+    if wrong:
+        raise DivergedError(f"what the network says of {wrong} of {len(answers)} validation steps is not a number")
+    return score(answers.numpy(), data.rows.success, data.table["skill"].astype(str).to_numpy())
 
 
 def score(logit: npt.NDArray[np.float64], success: npt.NDArray[np.bool_], skills: npt.NDArray[Any]) -> dict[str, Any]:

@@ -138,9 +138,42 @@ def test_a_loss_that_is_no_number(
         with pytest.raises(MissingFileError):
             networks_in(tmp_path)
     else:
-        assert "none was good enough" in caught.value.message and not (tmp_path / "diverged").exists()
+        assert "no weights were good enough" in caught.value.message and not (tmp_path / "diverged").exists()
     done = train(release, config, tmp_path, "grasp")  # without the poison, from the last state
     assert not done.already and set(networks_in(tmp_path)) == {"grasp"}
+
+
+@pytest.mark.parametrize(
+    ("part", "words"), [("weight", "left weights that are"), ("answers", "validation steps is not")]
+)
+def test_losses_that_are_numbers_of_a_network_that_is_none(
+    release: rema_data.Release,
+    config: TrainingConfig,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    part: str,
+    words: str,
+) -> None:
+    """The last step of the optimiser breaks the network, or its answers overflow: no loss has said so."""
+    config = dataclasses.replace(config, validation_steps=4)
+    real = loop._Training.step
+
+    def breaking(self: Any, samples: Any) -> torch.Tensor:
+        loss = real(self, samples)
+        if self.update == 5:  # before the sixth, which is validated
+            with torch.no_grad():
+                for layer in self.network.decoder.parameters():
+                    layer *= float("nan") if part == "weight" else 1e20
+        return loss
+
+    monkeypatch.setattr(loop._Training, "step", breaking)
+    with pytest.raises(DivergedError, match=words) as caught:
+        train(release, config, tmp_path, "grasp")
+    assert caught.value.facts["update"] == 6 and "update 6" in caught.value.message
+    assert load_checkpoint(tmp_path / "diverged" / "grasp")[1].updates == 3
+    assert trained(release, config, tmp_path, "grasp") is None
+    (state,) = (tmp_path / ".grasp.training").glob("state-*.json")
+    assert state.stem == "state-00000003"  # nothing that is broken was saved
 
 
 def test_two_trainings_of_one_name(release: rema_data.Release, config: TrainingConfig, tmp_path: Path) -> None:
