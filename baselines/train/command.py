@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,10 +12,15 @@ import click
 from rema_data.schema import Primitive
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from baselines.train.loop import Report
     from evaluator.cli.progress import StderrProgress
 
 __all__ = ["reporter", "train"]
+
+_READ_EVERY = 20
+"""Updates between two looks at the loss: each waits until the device has done all that it was told."""
 
 
 def _names(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[str, ...]:
@@ -102,13 +108,15 @@ def train(
 
 
 def reporter(progress: StderrProgress, what: str, updates: int) -> Report:
-    """What shows a training on stderr: a bar with the loss, and a line for every validation."""
+    """What shows a training on stderr: a bar with the running loss, and a line for every validation."""
     progress.phase(what, updates)
+    pace = _Pace()
 
     def report(update: int, facts: dict[str, Any]) -> None:
         if "resumed" in facts:
             progress.note(f"{what}: goes on after update {update:,} of {updates:,}")
             progress.resume(update)
+            pace.begin()
         elif "auc" in facts:
             skills = ", ".join(f"{name} {entry['auc']:.3f}" for name, entry in facts["skills"].items())
             progress.note(
@@ -116,7 +124,32 @@ def reporter(progress: StderrProgress, what: str, updates: int) -> Report:
                 f"accuracy {facts['balanced_accuracy']:.1%}, calibration error {facts['calibration_error']:.3f}; "
                 f"{facts['samples_per_second']:.0f} samples/s, {facts['waiting_share']:.1%} of the time for data"
             )
+            pace.begin()  # what the validation took is no time of the updates
         else:
             progress.advance(1)
+            if words := pace.after(facts["loss"], facts["samples"]):
+                progress.tell(words)
 
     return report
+
+
+class _Pace:
+    """Loss and samples a second over the last so many updates."""
+
+    def __init__(self) -> None:
+        self.begin()
+
+    def begin(self) -> None:
+        self._losses: list[Tensor] = []
+        self._samples, self._since = 0, time.perf_counter()
+
+    def after(self, loss: Tensor, samples: int) -> str:
+        """What to say after an update; mostly nothing."""
+        self._losses.append(loss)
+        self._samples += samples
+        if len(self._losses) < _READ_EVERY:
+            return ""
+        mean = float(sum(self._losses[1:], self._losses[0])) / len(self._losses)
+        words = f"loss {mean:.3f}, {self._samples / (time.perf_counter() - self._since):,.0f} samples/s"
+        self.begin()
+        return words

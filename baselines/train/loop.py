@@ -57,8 +57,8 @@ def train(
     deterministic : bool
         Refuse operations whose result may differ between two runs on one device.
     report : callable, optional
-        Called after every update with the number of updates done and ``{"loss": ...}``, and after a validation with its
-        measures.
+        Called after every update with the number of updates done and ``{"loss": ..., "samples": ...}``, the loss still
+        on the device, and after a validation with its measures.
     save_every : int, optional
         Updates between two saved states; those of a validation by default.
 
@@ -133,7 +133,7 @@ class _Training:
             losses.append(self.step(samples))
             self.update += 1
             if self.report is not None:
-                self.report(self.update, {"loss": losses[-1]})
+                self.report(self.update, {"loss": losses[-1], "samples": self.config.batch_size})
             last = self.update == self.config.updates
             validating = last or self.update % self.config.validate_every == 0
             if validating or self.update % save_every == 0:

@@ -43,10 +43,12 @@ class StderrProgress:
     def __init__(self) -> None:
         self._console = Console(stderr=True)
         columns = (TextColumn("{task.description:>14}"), BarColumn(None), MofNCompleteColumn(), _Rate())
-        self._bars = Progress(*columns, TimeRemainingColumn(elapsed_when_finished=True), console=self._console)
+        more = (TimeRemainingColumn(elapsed_when_finished=True), TextColumn("{task.fields[detail]}"))
+        self._bars = Progress(*columns, *more, console=self._console)
         self._bar: TaskID | None = None
         self._live = self._console.is_terminal
         self._name, self._total, self._done, self._before = "", 0, 0, 0
+        self._detail = ""
         self._began = self._line = time.monotonic()
         self._handler = RichHandler(console=self._console, show_path=False, show_time=False, markup=False)
 
@@ -68,9 +70,10 @@ class StderrProgress:
         """A phase of ``total`` items begins."""
         self._end_phase()
         self._name, self._total, self._done, self._before = name, total, 0, 0
+        self._detail = ""
         self._began = self._line = time.monotonic()
         if self._live:
-            self._bar = self._bars.add_task(name, total=total)
+            self._bar = self._bars.add_task(name, total=total, detail="")
 
     def advance(self, n: int) -> None:
         """So many items more are done."""
@@ -87,6 +90,12 @@ class StderrProgress:
         if self._bar is not None:
             self._bars.reset(self._bar, completed=n)
 
+    def tell(self, detail: str) -> None:
+        """How the work of this phase stands, in a few words: beside the bar, and in its lines."""
+        self._detail = detail
+        if self._bar is not None:
+            self._bars.update(self._bar, detail=detail)
+
     def note(self, text: str) -> None:
         """Something worth a line."""
         self._console.print(text, markup=False, highlight=False)
@@ -99,4 +108,5 @@ class StderrProgress:
     def _write_line(self) -> None:
         seconds = time.monotonic() - self._began
         rate = f", {(self._done - self._before) / seconds:,.1f}/s" if seconds > 0 else ""
-        self.note(f"{self._name}: {self._done}/{self._total} in {seconds:.1f} s{rate}")
+        detail = f", {self._detail}" if self._detail else ""
+        self.note(f"{self._name}: {self._done}/{self._total} in {seconds:.1f} s{rate}{detail}")

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
 
 import rema_data
+from baselines.train.command import reporter
 from evaluator.cli.main import cli
 
 
@@ -48,3 +51,32 @@ def test_bad_input_is_named(release: rema_data.Release, tmp_path: Path, more: tu
     done = CliRunner().invoke(cli, command(release, tmp_path / "out", *more))
     assert done.exit_code == 2 and words in done.output
     assert not (tmp_path / "out").exists()
+
+
+class Loss:
+    """As a tensor on a device: it can be added up for nothing, and reading it costs."""
+
+    read = 0
+
+    def __init__(self, value: float) -> None:
+        self.value = value
+
+    def __add__(self, other: Loss) -> Loss:
+        return Loss(self.value + other.value)
+
+    def __float__(self) -> float:
+        Loss.read += 1
+        return self.value
+
+
+def test_the_loss_is_shown_and_seldom_read() -> None:
+    told: list[str] = []
+    progress: Any = SimpleNamespace(
+        phase=lambda *_: None, advance=lambda n: None, resume=lambda n: None, note=lambda text: None, tell=told.append
+    )
+    report = reporter(progress, "train grasp", 100)
+    report(10, {"resumed": 10})
+    for n in range(45):
+        report(11 + n, {"loss": Loss(0.25 if n < 20 else 0.75), "samples": 8})
+    assert [words.partition(",")[0] for words in told] == ["loss 0.250", "loss 0.750"]
+    assert all(words.endswith("samples/s") for words in told) and Loss.read == 2

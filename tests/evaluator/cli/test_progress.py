@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import sys
+
 import pytest
+from rich.console import Console
 
 from evaluator.cli import progress as module
 from evaluator.cli.progress import StderrProgress
@@ -18,3 +21,25 @@ def test_what_an_earlier_process_did_is_in_the_count_and_not_in_the_rate(
         progress.resume(80)
         progress.advance(20)
     assert "train: 100/100 in 10.0 s, 2.0/s" in capsys.readouterr().err
+
+
+def test_how_the_work_stands_is_in_its_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    with StderrProgress() as progress:
+        progress.phase("train", 4)
+        progress.tell("loss 0.7")
+        progress.advance(4)
+        progress.tell("loss 0.5")
+        progress.phase("collect", 2)
+    first, second = capsys.readouterr().err.splitlines()
+    assert first.startswith("train: 4/4") and first.endswith(", loss 0.5") and "loss" not in second
+
+
+def test_on_a_terminal_it_stands_beside_the_bar(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(module, "Console", lambda stderr: Console(file=sys.stderr, force_terminal=True, width=120))
+    with StderrProgress() as progress:
+        progress.phase("train", 4)
+        progress.tell("loss 0.525")
+        progress.advance(1)
+    assert "loss 0.525" in capsys.readouterr().err
