@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from evaluator.evidence.check import Finding
 from evaluator.evidence.header import RUN_FILE
 from evaluator.evidence.signature import SIGNATURE_FILE
-from rema_data.errors import IntegrityError, RunMismatchError
+from rema_data.errors import InputError, IntegrityError, RunMismatchError
 from rema_data.storage import write_atomic
 
 if TYPE_CHECKING:
@@ -100,6 +100,8 @@ def sign(folder: Path, report: ReplayReport, key: Ed25519PrivateKey) -> Path:
 
     Raises
     ------
+    InputError
+        Nothing was simulated again, or the run is not finished: there is nothing to vouch for.
     IntegrityError
         The replay found something, or ``run.json`` has changed since.
     RunMismatchError
@@ -113,6 +115,17 @@ def sign(folder: Path, report: ReplayReport, key: Ed25519PrivateKey) -> Path:
         raise RunMismatchError(
             f"{folder} is not signed: the simulator here is not that of the run",
             hint="replay it where the fingerprint is the same",
+        )
+    if report.unfinished:
+        raise InputError(
+            f"{folder} is not signed: {report.unfinished:,} of its {report.episodes:,} episodes have no result",
+            hint="finish the run first: the same `rema evaluate` again goes on with it",
+            unfinished=report.unfinished,
+        )
+    if not report.replayed:
+        raise InputError(
+            f"{folder} is not signed: none of its episodes was simulated again",
+            hint="replay at least a part of it: --fraction 0.02",
         )
     payload = (folder / RUN_FILE).read_bytes()
     if hashlib.sha256(payload).hexdigest() != report.run_sha256:

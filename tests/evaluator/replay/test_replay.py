@@ -260,6 +260,9 @@ def test_a_run_that_was_cut_short_says_so(home: Path, tmp_path: Path) -> None:
     assert report.ok and report.unfinished > 100 and report.audit is None
     assert report.replayed + report.unfinished == 300
     assert json.loads((tmp_path / "run" / "run.json").read_text())["seal"]["unfinished"] == report.unfinished
+    with pytest.raises(InputError, match=rf"{report.unfinished} of its 300 episodes have no result"):
+        sign(tmp_path / "run", report, Ed25519PrivateKey.generate())
+    assert not (tmp_path / "run" / "run.json.sig").exists()
 
 
 def test_sign_and_check(copy_of: Copy) -> None:
@@ -283,7 +286,9 @@ def test_a_signature_is_not_put_under_what_could_not_be_confirmed(
     copy_of: Copy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, key = copy_of("short"), Ed25519PrivateKey.generate()
-    report = play(run, fraction=0)
+    with pytest.raises(InputError, match="none of its episodes was simulated"):
+        sign(run, play(run, fraction=0), key)
+    report = play(run, fraction=0.01)
     (run / "run.json").write_text((run / "run.json").read_text() + "\n")
     with pytest.raises(IntegrityError, match="changed while"):
         sign(run, report, key)
@@ -296,7 +301,7 @@ def test_a_signature_is_not_put_under_what_could_not_be_confirmed(
 def test_a_signature_stays_until_the_run_changes(home: Path, tmp_path: Path) -> None:
     run = shutil.copytree(home / "long", tmp_path / "long")
     key = Ed25519PrivateKey.generate()
-    sign(run, play(run, fraction=0), key)
+    sign(run, play(run, fraction=0.01), key)
     fields: dict[str, Any] = {"protocol": "end-to-end", "engine": "inline", "audit_share": 0.0}
     run_evaluation(fake_config(run, LONG, episodes=EPISODES, **{**fields, "workers": 5}), backend=fake_backend())
     assert play(run, fraction=0, public_key=key.public_key()).ok
