@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -54,9 +55,15 @@ def _show(found: Comparison, console: Console) -> None:
     for side, only in (("A", found.only_a), ("B", found.only_b)):
         console.print(Text(f"solved by {side} alone: {_first(only)}"), soft_wrap=True)
     if found.only_a or found.only_b:
-        console.print(
-            Text(f"look at one: rema preview --task {found.a.task} --scenario N", style="dim"), soft_wrap=True
-        )
+        console.print(Text(f"look at one: {_preview(found)}", style="dim"), soft_wrap=True)
+
+
+def _preview(found: Comparison) -> str:
+    """The command that shows a scenario of the list that both policies met; N is left to be filled in."""
+    words = ["rema", "preview"]
+    for option in ("task", "split", "protocol"):
+        words += [f"--{option}", str(getattr(found.a, option))]
+    return f"{shlex.join(words)} --policy POLICY --scenario N"
 
 
 def _facts(found: Comparison) -> Table:

@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from evaluator.cli.main import cli
+from evaluator.cli.preview import preview
 from tests.evaluator.runs import EPISODES, solved, write_manifests, write_run
 
 A, B = solved(0.6, 1), solved(0.5, 2)
@@ -37,6 +38,20 @@ def test_the_page(runs: tuple[Path, Path]) -> None:
     assert "exploratory" in text and "0 ± 22.5 deg" in text and "80 % power" in text
     first = np.flatnonzero(A & ~B)
     assert f"solved by A alone: {len(first)}: {', '.join(map(str, first[:10]))} and {len(first) - 10} more" in text
+
+
+def test_the_hint_shows_the_scenarios_that_were_compared(runs: tuple[Path, Path], tmp_path: Path) -> None:
+    """It is a command that `rema preview` takes, with the split and the protocol of the runs."""
+    others = [
+        write_run(tmp_path / name, solved(rate, 1), split="val", protocol="end-to-end")
+        for name, rate in (("c", 0.6), ("d", 0.5))
+    ]
+    for pair, split, protocol in ((runs, "test", "conditional"), (others, "val", "end-to-end")):
+        (hint,) = (line for line in compare(*pair).stdout.splitlines() if line.startswith("look at one: "))
+        words = hint.removeprefix("look at one: rema preview ").replace(" N", " 3").split()
+        context = preview.make_context("preview", words)
+        assert (context.params["split"], context.params["protocol"]) == (split, protocol)
+        assert (context.params["tasks"], context.params["index"]) == (("grasp",), 3)
 
 
 def test_json_lists_every_discordant_scenario(runs: tuple[Path, Path]) -> None:
