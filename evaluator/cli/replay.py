@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rema_data.errors import InfrastructureError, IntegrityError
+from rema_data.errors import InfrastructureError, InputError, IntegrityError
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -33,7 +33,8 @@ _FINDINGS = 20
 )
 @click.option("--seed", type=click.IntRange(min=0), help="Draw the episodes of an earlier replay.  [default: new ones]")
 @click.option("--workers", type=click.IntRange(min=1), help="Simulation processes.  [default: one a core]")
-@click.option("--engine", type=click.Choice(["process", "inline"]), default="process", show_default=True)
+@click.option("--engine", type=click.Choice(["process", "inline", "ray"]), default="process", show_default=True)
+@click.option("--address", help="Of a Ray cluster.  [default: the one that this machine belongs to]")
 @click.option("--public-key", type=click.Path(path_type=Path), help="Ed25519 key that must have signed the run.")
 @click.option("--sign", "private_key", type=click.Path(path_type=Path), help="Ed25519 key to sign with if all is well.")
 @click.option("--json", "as_json", is_flag=True, help="Print one object.")
@@ -45,6 +46,7 @@ def replay(
     seed: int | None,
     workers: int | None,
     engine: str,
+    address: str | None,
     public_key: Path | None,
     private_key: Path | None,
     as_json: bool,
@@ -60,6 +62,11 @@ def replay(
     from evaluator.replay import sign
     from evaluator.runner.simulate import INFRA_LIMIT
 
+    if private_key is not None and not fraction:
+        raise InputError(
+            "--sign vouches for what was simulated again, and --fraction 0 simulates nothing",
+            hint="give a part, such as --fraction 0.02, or leave --fraction out",
+        )
     passphrase = f"passphrase of {private_key}"
     key = None
     if private_key is not None:
@@ -72,6 +79,7 @@ def replay(
             seed=seed,
             engine=engine,
             workers=workers,
+            address=address,
             public_key=checked_with,
             progress=progress,
         )

@@ -48,6 +48,7 @@ def replay(
     seed: int | None = None,
     engine: str = "process",
     workers: int | None = None,
+    address: str | None = None,
     public_key: Ed25519PublicKey | None = None,
     progress: ProgressSink | None = None,
     backend: Backend | None = None,
@@ -63,7 +64,7 @@ def replay(
         know beforehand which rows will be looked at.
     seed : int, optional
         Draws the same episodes as an earlier replay; by default they are new ones each time.
-    engine, workers
+    engine, workers, address
         See ``EvaluationConfig``.
     public_key : Ed25519PublicKey, optional
         Must have signed the run.
@@ -74,7 +75,7 @@ def replay(
     Raises
     ------
     InputError
-        The fraction is none.
+        The fraction is none, or the engine takes no address.
     MissingFileError
         There is no run, or it is not finished.
     IntegrityError
@@ -86,11 +87,13 @@ def replay(
     """
     if not 0 <= fraction <= 1:
         raise InputError(f"a fraction of {fraction}", hint="give a share from 0 to 1, such as 0.02")
+    if address is not None and engine != "ray":
+        raise InputError("--address is for the ray engine", hint="add --engine ray, or drop --address")
     evidence = read_evidence(folder)
     job = _Replay(evidence, fraction, seed, progress or Silent(), backend or default_backend())
     job.check_signature(public_key)
     if evidence.trusted:
-        job.check(engine, workers)
+        job.check(engine, workers, address)
     return job.report(public_key)
 
 
@@ -121,7 +124,7 @@ class _Replay:
             detail = f"was not made over this {RUN_FILE} with the key {key_name(key)[:16]}"
             self.findings.append(Finding(SIGNATURE_FILE, "", detail))
 
-    def check(self, engine: str, workers: int | None) -> None:
+    def check(self, engine: str, workers: int | None, address: str | None) -> None:
         """Statistics and rows, as far as they can be read."""
         evidence, table, backend = self.evidence, self.evidence.table, self.backend
         task, protocol = self.identity["task"], self.identity["protocol"]
@@ -141,7 +144,7 @@ class _Replay:
         records = recorded_actions(evidence.actions, plan.steps)
         sample = self._sample(table.column("success").to_pylist())
         drawn = Plan([plan.scenarios[row] for row in sample], task, protocol)
-        self._simulate(drawn, records, engine, workers)
+        self._simulate(drawn, records, engine, workers, address)
         self._compare(scenarios, plan, records, set(sample))
 
     def _sample(self, success: list[bool | None]) -> list[int]:
@@ -155,7 +158,7 @@ class _Replay:
         chosen = np.random.default_rng(self.drawn).choice(len(measured), count, replace=False)
         return sorted(measured[position] for position in chosen.tolist())
 
-    def _simulate(self, plan: Plan, records: Records, engine: str, workers: int | None) -> None:
+    def _simulate(self, plan: Plan, records: Records, engine: str, workers: int | None, address: str | None) -> None:
         for step in plan.steps:
             jobs = pending_jobs(plan.alive(step, records), step, records)
             if jobs:
@@ -169,6 +172,7 @@ class _Replay:
                     engine=engine,
                     workers=workers,
                     order="shuffled",
+                    address=address,
                 )
 
     def _compare(self, scenarios: ScenarioList, plan: Plan, records: Records, sample: set[int]) -> None:

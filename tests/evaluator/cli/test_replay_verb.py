@@ -81,6 +81,8 @@ def test_what_is_no_finished_run(run: Path, tmp_path: Path) -> None:
     (run / "run.json").write_text("{")
     assert replay().exit_code == 6
     assert rema("replay", "run", "--fraction", "2").exit_code == 2
+    alone = replay("--address", "local")
+    assert alone.exit_code == 2 and "--address is for the ray engine" in alone.stderr
 
 
 def test_sign_and_check_with_a_locked_key(run: Path) -> None:
@@ -99,7 +101,9 @@ def test_sign_and_check_with_a_locked_key(run: Path) -> None:
     assert "secret" not in signed.output
     checked = replay("--fraction", "0", "--public-key", "public.pem")
     assert checked.exit_code == 0 and "by the key" in checked.stdout
-    replay("--fraction", "0", "--sign", "other.pem")
+    nothing = replay("--fraction", "0", "--sign", "other.pem")
+    assert nothing.exit_code == 2 and "simulates nothing" in nothing.stderr and nothing.stdout == ""
+    assert replay("--fraction", "0.02", "--sign", "other.pem").exit_code == 0
     other = replay("--fraction", "0", "--public-key", "public.pem")
     assert other.exit_code == 6 and "not by the key" in other.stdout
     assert "--public-key FILE" in replay("--fraction", "0").stdout

@@ -14,6 +14,7 @@ import pytest
 from evaluator.engines import InfraError, Job, JobResult, worker_count
 from evaluator.engines.ray import RayEngine
 from evaluator.policy import resolve
+from evaluator.replay import replay
 from evaluator.runner import EvaluationConfig, run_evaluation
 from evaluator.runner.plan import shards
 from rema_data.errors import InfrastructureError, InputError
@@ -119,6 +120,11 @@ def test_table_of_a_run_whose_machine_is_killed(cluster: Any, machine: Any, fake
     assert result.summary["infra_errors"] == 0
     tables = [(fake_home / name / "episodes.parquet").read_bytes() for name in ("process", "ray")]
     assert tables[0] == tables[1]
+    order()
+    report = replay(
+        fake_home / "process", fraction=0.2, engine="ray", backend=fake_backend(simulator=CLUSTER_SIMULATOR)
+    )
+    assert report.ok and report.replayed == 40 and report.lost == 0
 
 
 @pytest.mark.slow
