@@ -6,6 +6,8 @@ the picker fails to turn into a tool is drawn again; the manifest says how often
 
 from __future__ import annotations
 
+import hashlib
+import json
 import multiprocessing
 import os
 from collections.abc import Callable, Iterator
@@ -13,18 +15,27 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from evaluator.engines import make_engine
 from evaluator.engines.worker import die_with
 from evaluator.picked import draw_picked
 from evaluator.policy import PolicySpec, digest
 from evaluator.runner.backend import Backend, default_backend
-from evaluator.scenarios import SPLITS, load_list, manifest_path, reference_tools, update_manifest, write_list
+from evaluator.scenarios import (
+    SPLITS,
+    encode_list,
+    load_list,
+    manifest_path,
+    reference_tools,
+    update_manifest,
+    write_list,
+)
 from evaluator.sim.parameters import WORLD, parameters_hash
 from evaluator.sim.reference import prepare
 from evaluator.sim.simulator import Simulator
 from evaluator.sim.spawn import episode_generator
-from rema_data.errors import InputError
+from rema_data.errors import InputError, IntegrityError
 from rema_data.schema import TASKS, Scenario, check_task
 
 __all__ = ["COUNTS", "ROOT_SEED", "Picker", "draw_scenario", "generate_list", "picked_list", "write_lists"]
@@ -135,9 +146,10 @@ def write_lists(
     advance: Callable[[str, int], None] = lambda name, count: None,
     picker: Picker | None = None,
 ) -> Path:
-    """Write a new version of the scenario lists and its manifest; a list that is there is kept, never changed.
+    """Write a new version of the scenario lists and its manifest; a list that the manifest names is never changed.
 
-    With a picker, tasks without tools keep the lists of the present version: they are named, not written again.
+    With a picker, tasks without tools keep the lists of the present version: they are named, not written again. A file
+    that no manifest names was left by a kill: its list is drawn again.
 
     Parameters
     ----------
@@ -161,62 +173,86 @@ def write_lists(
     ------
     InputError
         Unknown task, or a count below 1.
+    IntegrityError
+        The manifest cannot be read; or it names a list whose file is gone, and drawing it again gives another.
     StorageError
         The disk is full or may not be written.
     """
     manifest = manifest_path(version)
+    origin = {}
+    if picker is not None:
+        origin = {"picker": picker.spec.name, "picker_digest": digest(picker.spec, picker.checkpoint)}
     for split in SPLITS:
         count = (counts or COUNTS)[split]
         if count < 1:
             raise InputError(f"a {split} list of {count} scenarios", hint="give each split at least one", count=count)
         for task in tasks:
-            file = f"{check_task(task)}_{split}.parquet"
-            if (manifest.parent / file).exists():
+            entry = _entries(manifest).get(f"{check_task(task)}/{split}")
+            if entry is not None and (manifest.parent / entry["file"]).exists():
                 continue
             if picker is not None and not reference_tools(task):
                 _name_again(manifest, version, task, split)
                 continue
-            origin = (
-                {}
-                if picker is None
-                else {"picker": picker.spec.name, "picker_digest": digest(picker.spec, picker.checkpoint)}
-            )
             drawn: list[Drawn] = []
-            source = (
-                generate_list(task, split, count, workers)
-                if picker is None
-                else picked_list(task, split, count, picker, workers)
-            )
-            for item in source:
+            for item in _source(task, split, count, workers, picker):
                 drawn.append(item)
                 advance(f"{task}/{split}", len(drawn))
-            sha256 = write_list(manifest.parent / file, [item.scenario for item in drawn])
-            update_manifest(
-                manifest,
-                version,
-                f"{task}/{split}",
-                file=file,
-                sha256=sha256,
-                count=count,
-                seed_domain=f"{ROOT_SEED}/{split}",
-                redrawn=sum(item.redrawn for item in drawn),
-                parameters=parameters_hash(),
-                **origin,
-            )
+            _write(manifest, version, drawn, entry, origin)
     return manifest
 
 
-def _name_again(manifest: Path, version: str, task: str, split: str) -> None:
-    """Enter the present list of a task without tools in the manifest of another version."""
-    frozen = load_list(task, split)
+def _source(task: str, split: str, count: int, workers: int, picker: Picker | None) -> Iterator[Drawn]:
+    if picker is None:
+        return generate_list(task, split, count, workers)
+    return picked_list(task, split, count, picker, workers)
+
+
+def _entries(manifest: Path) -> dict[str, dict[str, Any]]:
+    """What a manifest names; nothing where it is not there."""
+    if not manifest.is_file():
+        return {}
+    try:
+        return dict(json.loads(manifest.read_text(encoding="utf-8"))["lists"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise IntegrityError(
+            f"scenario manifest {manifest} cannot be read",
+            hint="restore it from the repository: git checkout -- manifests",
+            path=str(manifest),
+        ) from error
+
+
+def _write(
+    manifest: Path, version: str, drawn: list[Drawn], named: dict[str, Any] | None, origin: dict[str, str]
+) -> None:
+    """Write a list and name it in the manifest; ``named`` is what the manifest says of it already."""
+    scenarios = [item.scenario for item in drawn]
+    task, split = scenarios[0].task, scenarios[0].split
+    file = manifest.parent / f"{task}_{split}.parquet"
+    if named is not None and hashlib.sha256(encode_list(scenarios)).hexdigest() != named["sha256"]:
+        raise IntegrityError(
+            f"{manifest} names {named['file']}, which is gone, and {task}/{split} drawn again is another list",
+            hint="restore it from the repository: git checkout -- manifests; or choose another VERSION",
+            path=str(file),
+        )
     update_manifest(
         manifest,
         version,
         f"{task}/{split}",
-        file=f"../{frozen.version}/{task}_{split}.parquet",
-        sha256=frozen.sha256,
-        count=len(frozen.scenarios),
+        file=file.name,
+        sha256=write_list(file, scenarios),
+        count=len(scenarios),
         seed_domain=f"{ROOT_SEED}/{split}",
-        redrawn=0,
+        redrawn=sum(item.redrawn for item in drawn),
         parameters=parameters_hash(),
+        **origin,
+    )
+
+
+def _name_again(manifest: Path, version: str, task: str, split: str) -> None:
+    """Enter the present list of a task without tools in the manifest of another version, with what is said of it."""
+    name, present = f"{task}/{split}", manifest_path(load_list(task, split).version)
+    entry = _entries(present)[name]
+    file = (present.parent / entry["file"]).resolve()  # which may lie in the folder of an older version itself
+    update_manifest(
+        manifest, version, name, **entry | {"file": Path(os.path.relpath(file, manifest.parent.resolve())).as_posix()}
     )

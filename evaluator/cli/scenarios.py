@@ -28,7 +28,10 @@ def scenarios(
     device: str,
     workers: int,
 ) -> None:
-    """Draw scenario lists under manifests/scenarios/VERSION. A list that is already there is never changed."""
+    """Draw scenario lists under manifests/scenarios/VERSION. A list that its manifest names is never changed.
+
+    What a picker prints is kept in the folder logs of REMA_HOME.
+    """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -36,13 +39,14 @@ def scenarios(
     from evaluator.generate import Picker, write_lists
     from evaluator.policy.loading import check_checkpoint, resolve
     from evaluator.policy.shipped import shipped_checkpoint
-    from evaluator.scenarios import manifest_path
+    from rema_data.storage import rema_home
 
     chosen = None
     if picker is not None:
         spec = resolve(picker)
         weights = check_checkpoint(checkpoint) or shipped_checkpoint(spec.name)
-        chosen = Picker(spec, weights, manifest_path(version).with_name("policy.log"), device)
+        # Not beside the lists: what lies in manifests/ is frozen and published.
+        chosen = Picker(spec, weights, rema_home() / "logs" / f"scenarios-{version}.log", device)
     counts = {"test": test_count, "val": val_count}
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bars:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
+from click.testing import CliRunner
 
+from evaluator.cli.main import cli
 from evaluator.generate import COUNTS, ROOT_SEED, Picker, write_lists
 from evaluator.policy import resolve
 from evaluator.scenarios import SPLITS, VERSION, load_list, manifest_path, reference_pinch, reference_tools
 from evaluator.sim.parameters import WORLD
 from evaluator.sim.spawn import draw_episode, episode_generator
-from rema_data.errors import InputError, PolicyFailureError
+from rema_data.errors import InputError, IntegrityError, PolicyFailureError
 from rema_data.schema import TASKS
 
 
@@ -43,6 +46,64 @@ def test_a_list_is_never_changed(manifests: Path) -> None:
     assert (path.parent / "grasp_test.parquet").read_bytes() == before
     with pytest.raises(InputError, match="at least one"):
         write_lists("c", ("grasp",), {"test": 0, "val": 1})
+
+
+def test_a_list_that_no_manifest_names_is_drawn_again(manifests: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As after a kill between the list and its manifest."""
+
+    def killed(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("evaluator.generate.update_manifest", killed)
+        with pytest.raises(KeyboardInterrupt):
+            write_lists("a", ("grasp",), {"test": 2, "val": 1}, 1)
+    left = manifest_path("a").with_name("grasp_test.parquet")
+    assert left.exists() and not manifest_path("a").exists()
+    left.write_bytes(b"of another count, or half a list")
+    write_lists("a", ("grasp",), {"test": 2, "val": 1}, 1)
+    assert len(load_list("grasp", version="a").scenarios) == 2 and len(load_list("grasp", "val", "a").scenarios) == 1
+
+
+def test_a_list_that_is_gone_comes_back_only_as_it_was(manifests: Path) -> None:
+    path = write_lists("a", ("grasp",), {"test": 2, "val": 1}, 1)
+    file = path.with_name("grasp_test.parquet")
+    before, named = file.read_bytes(), path.read_bytes()
+    file.unlink()
+    with pytest.raises(IntegrityError, match="grasp_test.parquet, which is gone") as caught:
+        write_lists("a", ("grasp",), {"test": 3, "val": 1}, 1)
+    assert "git checkout" in caught.value.hint and not file.exists() and path.read_bytes() == named
+    write_lists("a", ("grasp",), {"test": 2, "val": 1}, 1)
+    assert file.read_bytes() == before and path.read_bytes() == named
+    path.write_text("{")
+    with pytest.raises(IntegrityError, match="cannot be read"):
+        write_lists("a", ("grasp",), {"test": 2, "val": 1}, 1)
+
+
+def test_a_list_is_named_where_it_lies(manifests: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also when the present version only names the list of an older one."""
+    picker = Picker(resolve("random"), None, tmp_path / "log")
+    write_lists("old", ("push",), {"test": 2, "val": 1}, 1)
+    for present, new in (("old", "middle"), ("middle", "new")):
+        monkeypatch.setattr("evaluator.scenarios.VERSION", present)
+        write_lists(new, ("push",), {"test": 9, "val": 9}, 1, picker=picker)
+    lists = [json.loads(manifest_path(version).read_text())["lists"] for version in ("middle", "new")]
+    assert lists[0] == lists[1] and lists[1]["push/test"]["file"] == "../old/push_test.parquet"
+    assert load_list("push", version="new").scenarios == load_list("push", version="old").scenarios
+
+
+def test_what_a_picker_prints_is_not_frozen(manifests: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("REMA_HOME", str(tmp_path / "home"))
+    given: list[Picker] = []
+
+    def write(version: str, *rest: Any) -> Path:
+        given.append(rest[-1])
+        return manifest_path(version)
+
+    monkeypatch.setattr("evaluator.generate.write_lists", write)
+    done = CliRunner().invoke(cli, ["scenarios", "a", "--picker", "random"])
+    assert done.exit_code == 0, done.output
+    assert given[0].log == tmp_path / "home" / "logs" / "scenarios-a.log"
 
 
 PICKERS = """
