@@ -55,17 +55,25 @@ def shipped_checkpoint(policy: str) -> Path | None:
     MissingFileError
         They are not on this machine.
     IntegrityError
-        A file is not the one that the manifest names.
+        They are, but wherever they lie a file is not the one that the manifest names, or is one too many.
     """
     entry = shipped_policies().get(policy)
     if entry is None:
         return None
     folder, files = entry
+    wrong: list[IntegrityError] = []
     for root in (downloads_folder(), *local_sources()):
         place = root / CHECKPOINTS / folder
-        if all((place / name).is_file() for name in files):
+        if not all((place / name).is_file() for name in files):
+            continue
+        try:
             _check(place, files)
-            return place.resolve()
+        except IntegrityError as error:  # an older download does not hide what a checkout has
+            wrong.append(error)
+            continue
+        return place.resolve()
+    if wrong:
+        raise wrong[0]
     raise MissingFileError(
         f"the networks of {policy} ({folder}) are not on this machine",
         hint="run it in a clone of the repository, which has them under releases/checkpoints; or name others: "
@@ -90,7 +98,7 @@ def publish_checkpoint(policy: str, folder: str, place: Path) -> None:
     StorageError
         The manifest may not be written.
     """
-    names = sorted(path.name for path in place.iterdir() if path.suffix in (".safetensors", ".json"))
+    names = sorted(_networks(place))
     known = shipped_policies() | {policy: (folder, {name: _sha256(place / name) for name in names})}
     entries = {name: {"folder": where, "files": files} for name, (where, files) in sorted(known.items())}
     write_atomic(_manifest(), json.dumps({"policies": entries}, indent=1) + "\n")
@@ -101,16 +109,28 @@ def _manifest() -> Path:
 
 
 def _check(place: Path, files: Mapping[str, str]) -> None:
+    """Raise where a folder is not what the manifest names: a policy would load whatever network lies in it."""
+    for name in sorted(_networks(place) - set(files)):
+        raise IntegrityError(
+            f"{place / name} is not one of the published networks of {place.name}",
+            hint=f"move it elsewhere, and name its folder with --checkpoint; or delete it: {place / name}",
+            path=str(place / name),
+        )
     for name, wanted in files.items():
         found = _sha256(place / name)
         if found != wanted:
             raise IntegrityError(
                 f"{place / name} is not the published one: its sha256 is {found[:12]}..., not {wanted[:12]}...",
-                hint="restore it: git checkout -- releases/checkpoints",
+                hint=f"restore it (in a clone: git checkout -- releases/checkpoints), or delete {place}",
                 path=str(place / name),
                 expected=wanted,
                 found=found,
             )
+
+
+def _networks(place: Path) -> set[str]:
+    """Names of the files of a folder that are weights or cards."""
+    return {path.name for path in place.iterdir() if path.suffix in (".safetensors", ".json")}
 
 
 def _sha256(path: Path) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -42,7 +43,31 @@ def test_a_changed_file(networks: Path) -> None:
     (networks / "grasp.safetensors").write_text("other")
     with pytest.raises(IntegrityError, match=r"grasp\.safetensors is not the published one") as caught:
         shipped_checkpoint("tae-joint")
-    assert "git checkout" in caught.value.hint
+    assert "git checkout" in caught.value.hint and str(networks) in caught.value.hint
+
+
+@pytest.mark.parametrize("name", ["push.safetensors", "push.json"])
+def test_a_file_too_many(networks: Path, name: str) -> None:
+    """A policy loads every network of its folder: one that nobody published would play, too."""
+    (networks / "grasp.png").write_text("no network")
+    assert shipped_checkpoint("tae-joint") == networks
+    (networks / name).write_text("mine")
+    with pytest.raises(IntegrityError, match=f"{name} is not one of the published networks") as caught:
+        shipped_checkpoint("tae-joint")
+    assert "--checkpoint" in caught.value.hint and str(networks / name) in caught.value.hint
+
+
+def test_what_is_stale_does_not_hide_what_is_good(networks: Path, tmp_path: Path) -> None:
+    """An older download comes first, and is passed over."""
+    stale = tmp_path / "home" / "releases" / "checkpoints" / "mine" / "joint"
+    shutil.copytree(networks, stale)
+    assert shipped_checkpoint("tae-joint") == stale
+    (stale / "grasp.safetensors").write_text("of an older version")
+    assert shipped_checkpoint("tae-joint") == networks
+    (networks / "grasp.safetensors").write_text("damaged")
+    with pytest.raises(IntegrityError) as caught:
+        shipped_checkpoint("tae-joint")
+    assert str(stale) in caught.value.hint  # the first of both
 
 
 def test_a_missing_file(networks: Path) -> None:
