@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import hashlib
 import mmap
 import os
 import resource
@@ -230,6 +231,39 @@ class Remembers(Hostile):
         if (observations.scene < 0).any():
             os._exit(1)
         return answer(len(observations), before)
+
+
+class CountsQuestions(Hostile):
+    """Looks at nothing: its action says which observation of its process this is, as if that were the scenario."""
+
+    def __init__(self, checkpoint: Path | None, device: str) -> None:
+        super().__init__(checkpoint, device)
+        self.seen = 0
+
+    def act(self, observations: Any) -> np.ndarray:
+        numbers = self.seen + np.arange(len(observations))
+        self.seen += len(observations)
+        return table_of_actions(numbers)
+
+
+class RemembersObservations(Hostile):
+    """Answers by all that its process was shown so far, the observation itself included."""
+
+    def __init__(self, checkpoint: Path | None, device: str) -> None:
+        super().__init__(checkpoint, device)
+        self.memory = hashlib.sha256()
+
+    def act(self, observations: Any) -> np.ndarray:
+        numbers = []
+        for scene in observations.scene:
+            self.memory.update(np.ascontiguousarray(scene).tobytes())
+            numbers.append(int.from_bytes(self.memory.digest()[:4], "big"))
+        return table_of_actions(np.array(numbers))
+
+
+def table_of_actions(numbers: np.ndarray) -> np.ndarray:
+    """A valid action for every number, another one for each of 0 to 10,239."""
+    return np.stack([20 + numbers // 16 % 20, 16 + numbers // 320 % 32, numbers % 16], axis=1)
 
 
 class FlipsPrivilege(Hostile):

@@ -177,15 +177,15 @@ def test_it_dies_with_the_judge(write_policy: WritePolicy, tmp_path: Path) -> No
         time.sleep(0.02)
 
 
-def test_two_hundred_megabytes_of_prints(write_policy: WritePolicy, tmp_path: Path) -> None:
+def test_a_gigabyte_of_prints(write_policy: WritePolicy, tmp_path: Path) -> None:
     spec = write_policy(
-        "line = 'x' * 99 + '\\n'\nfor _ in range(20): sys.stdout.write(line * 100_000)\nprint('the end')\nreturn good",
+        "line = 'x' * 99 + '\\n'\nfor _ in range(100): sys.stdout.write(line * 100_000)\nprint('the end')\nreturn good",
         init="print('the beginning')",
     )
     log = tmp_path / "policy.log"
-    with PolicyHost(spec, None, "cpu", PolicyLimits(batch_s=30), log=log) as host:
+    with PolicyHost(spec, None, "cpu", PolicyLimits(batch_s=120), log=log) as host:
         assert reasons(host.act(make_batch(2))) == ["ok", "ok"]
-    assert host.output_bytes == 20 * 100_000 * 100 + len("the beginning\nthe end\n")
+    assert host.output_bytes == 10**9 + len("the beginning\nthe end\n")
     text = log.read_text()
     assert text.startswith("the beginning") and text.endswith("the end\n") and "bytes left out" in text
     assert len(text) < 330 << 10

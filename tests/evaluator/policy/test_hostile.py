@@ -139,6 +139,20 @@ def test_what_it_remembers_is_gone_with_its_process() -> None:
         assert successes(host.act(make_batch(1))) == {0}
 
 
+@pytest.mark.parametrize("name", ["CountsQuestions", "RemembersObservations"])
+def test_answers_by_the_order_of_the_questions_change_with_it(name: str) -> None:
+    """Nothing here stops them; that the same question is answered otherwise is what the order of a run shows."""
+    batch = make_batch(4)
+    with PolicyHost(policy(name), None, "cpu", PATIENT) as host:
+        first, again = host.act(batch), host.act(batch)
+    with PolicyHost(policy(name), None, "cpu", PATIENT) as host:
+        backwards = [host.act(batch.one(n))[0] for n in reversed(range(4))]
+        assert host.restarts == 0
+    assert reasons(first) == reasons(again) == ["ok"] * 4
+    assert not set(zip(first, range(4), strict=True)) & set(zip(again, range(4), strict=True))
+    assert first != backwards[::-1]
+
+
 def test_privilege_is_not_gained_by_a_restart(tmp_path: Path) -> None:
     notes = tmp_path / "notes"
     notes.write_text("")
