@@ -114,7 +114,9 @@ def reporter(progress: StderrProgress, what: str, updates: int) -> Report:
 
     def report(update: int, facts: dict[str, Any]) -> None:
         if "resumed" in facts:
-            progress.note(f"{what}: goes on after update {update:,} of {updates:,}")
+            counts = [str(count) for count in facts["threads"]]
+            mixed = f"; with {' and '.join(counts)} threads, so not to the weights that one number of them gives"
+            progress.note(f"{what}: goes on after update {update:,} of {updates:,}{mixed if len(counts) > 1 else ''}")
             progress.resume(update)
             pace.begin()
         elif "auc" in facts:

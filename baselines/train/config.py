@@ -23,7 +23,7 @@ _LEAST = {"updates": 1, "batch_size": 1, "validate_every": 1, "validation_steps"
 
 @dataclass(frozen=True, slots=True)
 class TrainingConfig:
-    """One training; equal configurations on equal data give equal weights on one machine.
+    """One training; equal configurations on equal data give equal weights on one machine, with as many threads.
 
     Attributes
     ----------

@@ -115,6 +115,7 @@ class _Training:
         self.best: dict[str, Any] | None = None
         self.best_weights: dict[str, Tensor] = {}
         self.seconds = 0.0
+        self.threads = {torch.get_num_threads()}  # equal weights need equal sums, which the threads cut in parts
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -201,7 +202,7 @@ class _Training:
         entry = {"update": self.update, "training_loss": loss, **took, **measures}
         self.history.append(entry)
         if self.best is None or measures["auc"] > self.best["auc"]:
-            self.best = {"update": self.update, **measures}
+            self.best = {"update": self.update, **measures, "threads": sorted(self.threads)}
             self.best_weights = {key: tensor.detach().cpu().clone() for key, tensor in self.weights().items()}
         lines = "".join(json.dumps(row) + "\n" for row in self.history)
         write_atomic(self.folder / f"{self.name}.metrics.jsonl", lines)
@@ -226,6 +227,7 @@ class _Training:
             "history": self.history,
             "best": self.best,
             "seconds": self.seconds,
+            "threads": sorted(self.threads),
         }
         kept = {key: tensor.detach().cpu().contiguous() for key, tensor in tensors.items()}
         write_state(self.work, self.identity, TrainingState(self.update, kept, facts))
@@ -249,8 +251,9 @@ class _Training:
         self.data.sampler.load_state_dict(state.facts["sampler"])
         self.update, self.history, self.best = state.update, state.facts["history"], state.facts["best"]
         self.seconds, self.best_weights = state.facts["seconds"], part["best"]
+        self.threads |= set(state.facts.get("threads", ()))
         if self.report is not None:
-            self.report(self.update, {"resumed": self.update})
+            self.report(self.update, {"resumed": self.update, "threads": sorted(self.threads)})
 
     def save_best(self, folder: Path) -> Checkpoint:
         assert self.best is not None

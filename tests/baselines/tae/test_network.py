@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from scipy import ndimage
 from torch import Tensor
 
 from baselines.tae.correlation import cross_convolve
 from baselines.tae.network import Architecture, TaeNetwork
+from baselines.tae.rotation import turn_end_effector
 from baselines.train.validation import pixel_logits
 from rema_data.errors import InputError
+from rema_data.grid import ANGLES
 
 SMALL = Architecture(width=8)
 
@@ -85,12 +88,42 @@ def test_one_grouped_convolution_is_the_loop(size: int) -> None:
 def test_a_planted_pattern_peaks_where_it_was_planted(size: int) -> None:
     """A kernel answers loudest where the scene looks like it, at the cell on which its own middle lies."""
     pattern = torch.rand(1, 1, size, size, generator=generator(3))
-    scene = torch.zeros(1, 1, 32, 32)
-    i, j = 11, 17
-    top, left = i - size // 2, j - size // 2
+    scene = planted(pattern, (11, 17))
+    assert divmod(int(cross_convolve(scene, pattern).flatten().argmax()), CELLS) == (11, 17)
+
+
+@pytest.mark.parametrize("size", [7, 28])
+@pytest.mark.parametrize("k", [0, 3, 4, 6, 9, 13])
+def test_a_planted_pattern_peaks_at_the_angle_at_which_it_was_planted(size: int, k: int) -> None:
+    """Among all places and all angles; what is planted was turned by another program than the network's."""
+    cells = torch.randn(1, 1, 7, 7, generator=generator(4))
+    axis = torch.arange(112) - 55.5
+    disc = (axis[:, None] ** 2 + axis**2 < 50**2).double()
+    smooth = torch.nn.functional.interpolate(cells, size=112, mode="bilinear", align_corners=False)[0, 0].double()
+    pattern = disc * (smooth - (smooth * disc).sum() / disc.sum())  # no mean: what differs is not loud anywhere
+
+    def kernel(turned: Tensor) -> Tensor:
+        return torch.nn.functional.avg_pool2d(turned, 112 // size)
+
+    # From +x (columns) to +y (rows), which grow downwards.
+    turned = ndimage.rotate(pattern.numpy(), -k * 360 / ANGLES, reshape=False, order=1)
+    scene = planted(kernel(torch.from_numpy(turned).float()[None, None]), (19, 26))
+    every = turn_end_effector(pattern.float().expand(ANGLES, 1, -1, -1), torch.arange(ANGLES))
+    answers = cross_convolve(scene.expand(ANGLES, -1, -1, -1), kernel(every))
+    peak_k, cell = divmod(int(answers.flatten().argmax()), CELLS * CELLS)
+    assert (*divmod(cell, CELLS), peak_k) == (19, 26, k)
+
+
+CELLS = 48
+
+
+def planted(pattern: Tensor, place: tuple[int, int]) -> Tensor:
+    """A scene with nothing but a pattern, its middle at a cell."""
+    size = pattern.shape[-1]
+    top, left = (at - size // 2 for at in place)
+    scene = torch.zeros(1, 1, CELLS, CELLS)
     scene[..., top : top + size, left : left + size] = pattern
-    peak = int(cross_convolve(scene, pattern).flatten().argmax())
-    assert divmod(peak, 32) == (i, j)
+    return scene
 
 
 def test_only_the_labelled_pixel_gets_a_gradient() -> None:

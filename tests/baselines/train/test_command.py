@@ -71,11 +71,13 @@ class Loss:
 
 def test_the_loss_is_shown_and_seldom_read() -> None:
     told: list[str] = []
+    notes: list[str] = []
     progress: Any = SimpleNamespace(
-        phase=lambda *_: None, advance=lambda n: None, resume=lambda n: None, note=lambda text: None, tell=told.append
+        phase=lambda *_: None, advance=lambda n: None, resume=lambda n: None, note=notes.append, tell=told.append
     )
     report = reporter(progress, "train grasp", 100)
-    report(10, {"resumed": 10})
+    report(10, {"resumed": 10, "threads": [1, 2]})
+    assert "with 1 and 2 threads" in notes[0]
     for n in range(45):
         report(11 + n, {"loss": Loss(0.25 if n < 20 else 0.75), "samples": 8})
     assert [words.partition(",")[0] for words in told] == ["loss 0.250", "loss 0.750"]

@@ -176,6 +176,20 @@ def test_losses_that_are_numbers_of_a_network_that_is_none(
     assert state.stem == "state-00000003"  # nothing that is broken was saved
 
 
+def test_threads_are_in_the_card(
+    release: rema_data.Release, config: TrainingConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another number of them gives other sums: a training goes on, and says so."""
+    monkeypatch.setattr(loop.torch, "get_num_threads", lambda: 1)
+    with pytest.raises(Interruption):
+        train(release, config, tmp_path, "grasp", report=interrupted_at(2), save_every=1)
+    monkeypatch.setattr(loop.torch, "get_num_threads", lambda: 3)
+    told: list[dict[str, Any]] = []
+    train(release, config, tmp_path, "grasp", report=lambda update, facts: told.append(facts))
+    assert told[0] == {"resumed": 1, "threads": [1, 3]}
+    assert load_checkpoint(tmp_path / "grasp")[1].metrics["threads"] == [1, 3]
+
+
 def test_two_trainings_of_one_name(release: rema_data.Release, config: TrainingConfig, tmp_path: Path) -> None:
     """The second one is told who is there, and leaves the first one alone."""
 
