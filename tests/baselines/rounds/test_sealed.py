@@ -87,6 +87,8 @@ def test_a_round_that_other_networks_played(collected: Path) -> None:
 
 def test_the_published_rounds_are_those_of_their_plan() -> None:
     plan, releases = load_recursion(ROOT / "manifests" / "plans" / "rema-v0.toml"), ROOT / "releases"
+    if not (releases / plan.name).is_dir():
+        pytest.skip("the releases come with a clone only")
     for entry in plan.rounds:
         path = releases / entry.release / MANIFEST
         check_sealed(plan, entry, ReleaseFolder(parse_manifest(path.read_bytes(), str(path)), releases))
