@@ -26,7 +26,7 @@ from evaluator.runner.plan import Plan
 from evaluator.runner.simulate import INFRA_LIMIT, check_infrastructure, pending_jobs, simulate_jobs
 from evaluator.runner.summary import PHASES
 from evaluator.scenarios import ScenarioList, load_list
-from rema_data.errors import InputError, PolicyFailureError
+from rema_data.errors import InputError, PolicyFailureError, SubmissionError
 from rema_data.schema import Situation
 from rema_data.storage import rema_home
 
@@ -230,6 +230,14 @@ class _Run:
                 infer_batches(policy, bank, wanted, valid, self.ledger, self.progress)
 
     def _note_policy(self, policy: PolicyProcess) -> None:
+        known = self.folder.header["policy"].get("privileged")
+        if known not in (None, policy.privileged):
+            raise SubmissionError(
+                f"policy {self.config.policy.name} has `privileged` {policy.privileged}, "
+                f"earlier in this run it had {known}",
+                hint="make `privileged` a constant of its class, and evaluate it into a new folder",
+                policy=self.config.policy.name,
+            )
         self.folder.set_policy(privileged=policy.privileged)
         isolation = getattr(policy, "isolation", None)
         if isolation is not None:

@@ -21,7 +21,7 @@ from evaluator.runner import run_evaluation
 from evaluator.runner.audit import LEAST_EPISODES
 from evaluator.scored import read_run
 from evaluator.statistics import clopper_pearson
-from rema_data.errors import InputError, PolicyFailureError
+from rema_data.errors import InputError, PolicyFailureError, SubmissionError
 from rema_data.schema import Situation, StepOutcome
 from tests.evaluator.fakes import FakePolicyProcess, FakeSimulator, fake_backend, fake_config
 
@@ -197,3 +197,20 @@ def test_no_audit_where_none_is_wanted(fake_home: Path) -> None:
     assert run_evaluation(config, backend=fake_backend()).summary["audit"] is None
     with pytest.raises(InputError, match="audit_share"):
         fake_config(fake_home / "run", audit_share=2.0)
+
+
+def test_a_policy_that_sees_the_truth_only_now_and_then_is_refused(fake_home: Path) -> None:
+    """Blind in the run and privileged in its audit: the row would not say what it is."""
+    kinds = iter([False, True])
+
+    @contextmanager
+    def open_policy(*_: Any) -> Iterator[FakePolicyProcess]:
+        process = FakePolicyProcess()
+        process.privileged = next(kinds)
+        yield process
+
+    with pytest.raises(SubmissionError, match="earlier in this run it had False"):
+        run_evaluation(
+            fake_config(fake_home / "run", episodes=40, engine="inline"), backend=fake_backend(open_policy=open_policy)
+        )
+    assert not (fake_home / "run" / "summary.json").exists()
