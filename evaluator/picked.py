@@ -148,16 +148,7 @@ def _ask(
     task: str, step: int, situations: Sequence[Situation], policy: PolicyProcess, backend: Backend
 ) -> Iterator[int]:
     seen = [backend.observe(situation) for situation in situations]
-    kind, valid = TASKS[task][step], backend.valid_actions(task, step)
-    question = ObservationBatch(
-        scene=np.stack([one.scene_m() for one in seen]),
-        end_effector=np.broadcast_to(seen[0].end_effector(), (len(seen), *seen[0].end_effector().shape)),  # bare hands
-        primitive=kind.primitive.value,
-        embodiment=kind.embodiment.value,
-        task=task,
-        step=step,
-        valid=np.broadcast_to(valid, (len(seen), *valid.shape)),
-    )
+    question = ObservationBatch.of(situations[0], seen, backend.valid_actions(task, step))
     for answer in policy.act(question, tuple(situations) if policy.privileged else None):
         if isinstance(answer, PolicyFault):
             raise PolicyFailureError(

@@ -147,16 +147,8 @@ def asked(policy: PolicySpec, checkpoint: Path | None = None) -> Iterator[Any]:
     with PolicyHost(policy, checkpoint) as host:
 
         def answer(situation: Situation) -> int:
-            seen, kind = observe(situation), situation.kind
-            batch = ObservationBatch(
-                seen.scene_m()[None],
-                seen.end_effector()[None],
-                kind.primitive.value,
-                kind.embodiment.value,
-                situation.task,
-                situation.step,
-                valid_actions(situation.task, situation.step)[None],
-            )
+            valid = valid_actions(situation.task, situation.step)
+            batch = ObservationBatch.of(situation, [observe(situation)], valid)
             (action,) = host.act(batch, (situation,) if host.privileged else None)
             if isinstance(action, PolicyFault):
                 raise SubmissionError(

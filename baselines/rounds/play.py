@@ -10,9 +10,6 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
 from baselines.rounds.behaviour import Behaviour
 from baselines.rounds.chunk import Chunk
 from evaluator.engines import Engine, InfraError, Job, JobResult, Shard
@@ -20,7 +17,6 @@ from evaluator.policy import ObservationBatch, PolicyFault
 from evaluator.runner.backend import Backend
 from evaluator.runner.plan import shards
 from evaluator.sim.spawn import collection_generator, draw_episode
-from rema_data import grid
 from rema_data.errors import InfrastructureError, PolicyFailureError
 from rema_data.schema import Action, Episode, Observation, Placement, Scenario, Situation, Step
 from rema_data.store.block import BlockKey
@@ -157,7 +153,7 @@ class Player:
         behaviour = self._behaviour(opened.chunk.block, step)
         observations = [self._backend.observe(situation) for situation in situations]
         valid = self._backend.valid_actions(opened.chunk.block.task, step)
-        question = _question(observations, situations[0], valid)
+        question = ObservationBatch.of(situations[0], observations, valid)
         answers = behaviour.process.act(question, situations if behaviour.process.privileged else None)
         jobs = []
         for index, situation, observation, answer in zip(indices, situations, observations, answers, strict=True):
@@ -190,30 +186,6 @@ class Player:
             return None
         self._open -= 1
         return opened
-
-
-def _question(observations: Sequence[Observation], first: Situation, valid: npt.NDArray[np.bool_]) -> ObservationBatch:
-    """What a policy is shown of one step."""
-    count = len(observations)
-    seen = observations[0]
-    effectors: npt.NDArray[np.float32]
-    if all(_same_effector(seen, other) for other in observations[1:]):  # bare hands: made and sent once
-        effectors = np.broadcast_to(seen.end_effector(), (count, grid.EE_PIXELS, grid.EE_PIXELS, 4))
-    else:
-        effectors = np.stack([other.end_effector() for other in observations])
-    return ObservationBatch(
-        scene=np.stack([observation.scene_m() for observation in observations]),
-        end_effector=effectors,
-        primitive=first.kind.primitive.value,
-        embodiment=first.kind.embodiment.value,
-        task=first.task,
-        step=first.step,
-        valid=np.broadcast_to(valid, (count, *valid.shape)),
-    )
-
-
-def _same_effector(one: Observation, other: Observation) -> bool:
-    return np.array_equal(one.depth, other.depth) and np.array_equal(one.mask, other.mask)
 
 
 def _refused(behaviour: Behaviour, chunk: Chunk, index: int, step: int, fault: PolicyFault) -> PolicyFailureError:

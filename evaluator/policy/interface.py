@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, runtime_checkable
@@ -9,7 +10,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from rema_data.schema import Situation
+from rema_data.schema import Observation, Situation
 
 __all__ = ["ObservationBatch", "Policy", "PrivilegedPolicy"]
 
@@ -43,6 +44,49 @@ class ObservationBatch:
     task: str
     step: int
     valid: npt.NDArray[np.bool_]
+
+    @classmethod
+    def of(
+        cls, situation: Situation, observations: Sequence[Observation], valid: npt.NDArray[np.bool_]
+    ) -> ObservationBatch:
+        """Observations of one step; an end effector that they all have, as bare hands are, is held once.
+
+        Parameters
+        ----------
+        situation : Situation
+            Any of those that were observed: it says which step this is.
+        observations : sequence of Observation
+        valid : bool (64, 64, 16)
+            The same for all.
+        """
+        scene = np.stack([one.scene_m() for one in observations])
+        first, *others = observations
+        end_effector: npt.NDArray[np.float32]
+        if all(np.array_equal(first.mask, one.mask) and np.array_equal(first.depth, one.depth) for one in others):
+            shared = first.end_effector()
+            end_effector = np.broadcast_to(shared, (len(scene), *shared.shape))
+        else:
+            end_effector = np.stack([one.end_effector() for one in observations])
+        return cls.of_maps(situation, scene, end_effector, valid)
+
+    @classmethod
+    def of_maps(
+        cls,
+        situation: Situation,
+        scene: npt.NDArray[np.float32],
+        end_effector: npt.NDArray[np.float32],
+        valid: npt.NDArray[np.bool_],
+    ) -> ObservationBatch:
+        """The same from maps that are floats already."""
+        return cls(
+            scene=scene,
+            end_effector=end_effector,
+            primitive=situation.kind.primitive.value,
+            embodiment=situation.kind.embodiment.value,
+            task=situation.task,
+            step=situation.step,
+            valid=np.broadcast_to(valid, (len(scene), *valid.shape)),
+        )
 
     def __len__(self) -> int:
         """Number of observations N."""

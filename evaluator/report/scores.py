@@ -145,16 +145,7 @@ def _ask(host: PolicyHost, questions: Sequence[tuple[Situation, int]]) -> list[S
     """Scores of some questions about the same step, put at once."""
     first, actions = questions[0][0], np.array([action for _, action in questions])
     seen = [observe(situation) for situation, _ in questions]
-    valid = valid_actions(first.task, first.step)
-    batch = ObservationBatch(
-        scene=np.stack([one.scene_m() for one in seen]),
-        end_effector=np.stack([one.end_effector() for one in seen]),
-        primitive=first.kind.primitive.value,
-        embodiment=first.kind.embodiment.value,
-        task=first.task,
-        step=first.step,
-        valid=np.broadcast_to(valid, (len(seen), *valid.shape)),
-    )
+    batch = ObservationBatch.of(first, seen, valid_actions(first.task, first.step))
     scores = host.maps(batch)
     if isinstance(scores, PolicyFault):
         raise _no_maps(host, scores.detail)

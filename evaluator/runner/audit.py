@@ -98,7 +98,8 @@ def ask_again(
         for start in range(0, len(of_step), size):
             batch = of_step[start : start + size]
             situations = tuple(repeat.situation for repeat in batch)
-            question = _question([observe(situation) for situation in situations], situations[0], valid_actions)
+            valid = valid_actions(situations[0].task, step)
+            question = ObservationBatch.of(situations[0], [observe(situation) for situation in situations], valid)
             answers = policy.act(question, situations if policy.privileged else None)
             again.add_answers(
                 Answered(repeat.index, step, None, str(answer.reason), answer.detail)
@@ -107,23 +108,6 @@ def ask_again(
                 for repeat, answer in zip(batch, answers, strict=True)
             )
             yield len(batch)
-
-
-def _question(
-    seen: Sequence[Observation],
-    situation: Situation,
-    valid_actions: Callable[[str, int], npt.NDArray[np.bool_]],
-) -> ObservationBatch:
-    valid = valid_actions(situation.task, situation.step)
-    return ObservationBatch(
-        scene=np.stack([one.scene_m() for one in seen]),
-        end_effector=np.stack([one.end_effector() for one in seen]),
-        primitive=situation.kind.primitive.value,
-        embodiment=situation.kind.embodiment.value,
-        task=situation.task,
-        step=situation.step,
-        valid=np.broadcast_to(valid, (len(seen), *valid.shape)),
-    )
 
 
 def jobs_again(wanted: Sequence[Repeat], ledger: Records, again: Records) -> list[Job]:

@@ -14,7 +14,7 @@ from evaluator.runner.bank import Block, ObservationBank
 from evaluator.runner.config import ProgressSink
 from evaluator.runner.observe import Batch
 from rema_data.errors import PolicyFailureError
-from rema_data.schema import Situation, StepKind
+from rema_data.schema import Situation
 
 __all__ = ["FAULT_CHECK", "FAULT_LIMIT", "check_faults", "infer_batches"]
 
@@ -58,8 +58,8 @@ def infer_batches(
         if block is None or loaded is not batch.block:
             block, loaded = bank.load(batch.block), batch.block
         situations = batch.situations
-        task, step = situations[0].task, situations[0].step
-        question = _question(block, batch, situations[0].kind, task, step, valid)
+        step = situations[0].step
+        question = ObservationBatch.of_maps(situations[0], *block.arrays(batch.rows), valid)
         answers = policy.act(question, situations if policy.privileged else None)
         ledger.add_answers(
             Answered(index, step, None, str(answer.reason), answer.detail)
@@ -70,21 +70,6 @@ def infer_batches(
         progress.advance(len(batch.indices))
         if len(ledger.answers) >= FAULT_CHECK:
             check_faults(ledger)
-
-
-def _question(
-    block: Block, batch: Batch, kind: StepKind, task: str, step: int, valid: npt.NDArray[np.bool_]
-) -> ObservationBatch:
-    scene, end_effector = block.arrays(batch.rows)
-    return ObservationBatch(
-        scene=scene,
-        end_effector=end_effector,
-        primitive=kind.primitive.value,
-        embodiment=kind.embodiment.value,
-        task=task,
-        step=step,
-        valid=np.broadcast_to(valid, (len(scene), *valid.shape)),
-    )
 
 
 def check_faults(ledger: Ledger) -> None:
