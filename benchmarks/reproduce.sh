@@ -42,7 +42,7 @@ for round in 1 2; do
     --output runs/round-$round-grasp-conditional
 done
 for task in $tasks; do
-  rema evaluate tae-joint --checkpoint $networks/round-3 --task $task --device openvino \
+  rema evaluate tae --checkpoint $networks/round-3 --task $task --device openvino \
     --output runs/round-3-$task-conditional
 done
 python benchmarks/baselines.py --maps --runs runs/*
