@@ -10,7 +10,7 @@ import hashlib
 import json
 import multiprocessing
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
@@ -22,6 +22,7 @@ from evaluator.engines.worker import die_with
 from evaluator.picked import draw_picked
 from evaluator.policy import PolicySpec, digest
 from evaluator.runner.backend import Backend, default_backend
+from evaluator.runner.config import ProgressSink, Silent
 from evaluator.scenarios import (
     SPLITS,
     encode_list,
@@ -143,7 +144,7 @@ def write_lists(
     tasks: tuple[str, ...] = tuple(TASKS),
     counts: dict[str, int] | None = None,
     workers: int = 2,
-    advance: Callable[[str, int], None] = lambda name, count: None,
+    progress: ProgressSink | None = None,
     picker: Picker | None = None,
 ) -> Path:
     """Write a new version of the scenario lists and its manifest; a list that the manifest names is never changed.
@@ -159,8 +160,8 @@ def write_lists(
     counts : dict, optional
         Scenarios of each split; ``COUNTS`` by default.
     workers : int
-    advance : callable
-        Told (list name, scenarios done so far).
+    progress : ProgressSink, optional
+        Every list is a phase of it.
     picker : Picker, optional
         Picks the tools; the privileged reference picks by default.
 
@@ -178,7 +179,7 @@ def write_lists(
     StorageError
         The disk is full or may not be written.
     """
-    manifest = manifest_path(version)
+    manifest, sink = manifest_path(version), progress or Silent()
     origin = {}
     if picker is not None:
         origin = {"picker": picker.spec.name, "picker_digest": digest(picker.spec, picker.checkpoint)}
@@ -193,10 +194,11 @@ def write_lists(
             if picker is not None and not reference_tools(task):
                 _name_again(manifest, version, task, split)
                 continue
+            sink.phase(f"{task}/{split}", count)
             drawn: list[Drawn] = []
             for item in _source(task, split, count, workers, picker):
                 drawn.append(item)
-                advance(f"{task}/{split}", len(drawn))
+                sink.advance(1)
             _write(manifest, version, drawn, entry, origin)
     return manifest
 

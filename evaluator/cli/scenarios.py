@@ -32,9 +32,7 @@ def scenarios(
 
     What a picker prints is kept in the folder logs of REMA_HOME.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
+    from evaluator.cli.progress import StderrProgress
     from evaluator.engines import default_workers
     from evaluator.generate import Picker, write_lists
     from evaluator.policy.loading import check_checkpoint, resolve
@@ -48,14 +46,6 @@ def scenarios(
         # Not beside the lists: what lies in manifests/ is frozen and published.
         chosen = Picker(spec, weights, rema_home() / "logs" / f"scenarios-{version}.log", device)
     counts = {"test": test_count, "val": val_count}
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bars:
-        rows: dict[str, int] = {}
-
-        def advance(name: str, done: int) -> None:
-            if name not in rows:
-                rows[name] = bars.add_task(name, total=counts[name.rpartition("/")[2]])  # type: ignore[assignment]
-            bars.update(rows[name], completed=done)  # type: ignore[arg-type]
-
-        path = write_lists(version, tasks or tuple(TASKS), counts, workers or default_workers(), advance, chosen)
+    with StderrProgress() as progress:
+        path = write_lists(version, tasks or tuple(TASKS), counts, workers or default_workers(), progress, chosen)
     click.echo(path)
