@@ -1,7 +1,8 @@
 """Scenario lists whose tools a policy picked: what a learned picker leaves in the hand, instead of the reference pick.
 
 The objects are those of the reference lists, drawn by the same generators. One that the policy fails to pick is drawn
-again, as there; a pinch (``grasp_grasp_push``) is still the reference one.
+again, as there; a pinch (``grasp_grasp_push``) is still the reference one. Where it fails on many objects, the tools
+are drawn and picked again.
 """
 
 from __future__ import annotations
@@ -54,6 +55,11 @@ class Picked:
     pinch: Pinch | None = None
     redrawn: int = 0
 
+    def begin_anew(self, task: str) -> None:
+        """Draw all objects again, for empty hands."""
+        self.placements, self.grips, self.pinch = list(draw_episode(self.rng, task)), (), None
+        self.redrawn += len(self.placements)
+
     def scenario(self, task: str, split: str) -> Scenario:
         """The finished scenario."""
         return Scenario(task, split, self.index, tuple(self.placements), self.grips, self.pinch)
@@ -90,28 +96,42 @@ def draw_picked(
         A worker died twice on the same pick.
     """
     drawn = [Picked(index, rng, list(draw_episode(rng, task))) for index, rng in sorted(generators.items())]
-    for step in tool_steps(task):
-        _until_done(drawn, partial(_pick, task, step, policy, engine, backend), task, step)
-    if TASKS[task][-1].embodiment is Embodiment.PINCHED:
+    waiting = drawn
+    for _ in range(LIMIT):
+        for step in tool_steps(task):
+            if failed := _failed(waiting, partial(_pick, task, step, policy, engine, backend), task, step):
+                raise _cannot(task, step, failed[0], "draw the lists with a policy that can pick tools")
+        if TASKS[task][-1].embodiment is not Embodiment.PINCHED:
+            return drawn
         step = len(TASKS[task]) - 2
-        _until_done(drawn, partial(_pinch, step, pool), task, step)
-    return drawn
+        waiting = _failed(waiting, partial(_pinch, step, pool), task, step)
+        if not waiting:
+            return drawn
+        for one in waiting:  # its tools lie so in the hands that nothing can be held between them
+            one.begin_anew(task)
+    raise _cannot(task, step, waiting[0], "draw the lists with a policy whose picks leave the tools free")
 
 
-def _until_done(drawn: Sequence[Picked], attempt: Callable[[list[Picked]], list[bool]], task: str, step: int) -> None:
-    """Try every scenario's object, and draw those that failed again, until all have succeeded."""
+def _failed(
+    drawn: Sequence[Picked], attempt: Callable[[list[Picked]], list[bool]], task: str, step: int
+) -> list[Picked]:
+    """Try every scenario's object, and draw those that failed again; the scenarios that failed on ``LIMIT`` of them."""
     waiting = list(drawn)
     for _ in range(LIMIT):
         won = attempt(waiting)
         waiting = [one for one, good in zip(waiting, won, strict=True) if not good]
         if not waiting:
-            return
+            break
         for one in waiting:
             one.placements[step] = draw_step(one.rng, task, step)
             one.redrawn += 1
-    raise PolicyFailureError(
-        f"step {step} of {task} failed on {LIMIT} objects in a row for scenario {waiting[0].index}",
-        hint="draw the lists with a policy that can pick tools",
+    return waiting
+
+
+def _cannot(task: str, step: int, one: Picked, hint: str) -> PolicyFailureError:
+    return PolicyFailureError(
+        f"step {step} of {task} failed on {LIMIT} objects in a row for scenario {one.index}",
+        hint=hint,
         task=task,
         step=step,
     )
