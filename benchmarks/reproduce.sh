@@ -25,7 +25,7 @@ python benchmarks/robomimic_reader.py --json $results/robomimic_reader.json # pi
 
 rema rounds manifests/plans/rema-v0.toml --register # stages that are done are kept
 networks=releases/checkpoints/rema-v0
-rema scenarios v2 --picker tae --checkpoint $networks/round-2 --device openvino
+rema scenarios v2 --keep grasp_grasp_push --picker tae --checkpoint $networks/round-2 --device openvino
 
 tasks="grasp push grasp_push grasp_grasp"
 for task in $tasks; do

@@ -146,6 +146,7 @@ def write_lists(
     workers: int = 2,
     progress: ProgressSink | None = None,
     picker: Picker | None = None,
+    keep: tuple[str, ...] = (),
 ) -> Path:
     """Write a new version of the scenario lists and its manifest; a list that the manifest names is never changed.
 
@@ -164,6 +165,8 @@ def write_lists(
         Every list is a phase of it.
     picker : Picker, optional
         Picks the tools; the privileged reference picks by default.
+    keep : tuple of str
+        Tasks besides, whose lists of the present version are named again.
 
     Returns
     -------
@@ -187,11 +190,11 @@ def write_lists(
         count = (counts or COUNTS)[split]
         if count < 1:
             raise InputError(f"a {split} list of {count} scenarios", hint="give each split at least one", count=count)
-        for task in tasks:
+        for task in (*keep, *tasks):
             entry = _entries(manifest).get(f"{check_task(task)}/{split}")
             if entry is not None and (manifest.parent / entry["file"]).exists():
                 continue
-            if picker is not None and not reference_tools(task):
+            if task in keep or (picker is not None and not reference_tools(task)):
                 _name_again(manifest, version, task, split)
                 continue
             sink.phase(f"{task}/{split}", count)

@@ -47,7 +47,7 @@ __all__ = [
 ]
 
 SPLITS = ("test", "val")
-VERSION = "v1"
+VERSION = "v2"
 """The version of the lists that evaluations use; older and newer ones may lie beside it."""
 
 _SPEC = tuple(field.name for field in dataclasses.fields(ObjectSpec) if field.name != "shape")
@@ -77,7 +77,7 @@ class ScenarioList:
 
 
 def scenario_id(version: str, scenario: Scenario) -> str:
-    """Name of a scenario that is unique among all lists, for example ``v1/grasp/test/00042``."""
+    """Name of a scenario that is unique among all lists, for example ``v2/grasp/test/00042``."""
     return f"{version}/{scenario.task}/{scenario.split}/{scenario.index:05d}"
 
 

@@ -17,6 +17,12 @@ from rema_data.schema import TASKS
 @click.option("--picker", help="Policy that picks the tools, such as tae.  [default: the reference picks]")
 @click.option("--checkpoint", type=click.Path(path_type=Path), help="Its networks.")
 @click.option("--device", default="cpu", show_default=True, help="Handed to the picker, such as openvino.")
+@click.option(
+    "--keep",
+    multiple=True,
+    type=click.Choice(list(TASKS)),
+    help="Tasks whose present lists are named again (repeatable).",
+)
 @click.option("--workers", default=0, help="Processes; as many as there are cores by default.")
 def scenarios(
     version: str,
@@ -26,6 +32,7 @@ def scenarios(
     picker: str | None,
     checkpoint: Path | None,
     device: str,
+    keep: tuple[str, ...],
     workers: int,
 ) -> None:
     """Draw scenario lists under manifests/scenarios/VERSION. A list that its manifest names is never changed.
@@ -47,5 +54,6 @@ def scenarios(
         chosen = Picker(spec, weights, rema_home() / "logs" / f"scenarios-{version}.log", device)
     counts = {"test": test_count, "val": val_count}
     with StderrProgress() as progress:
-        path = write_lists(version, tasks or tuple(TASKS), counts, workers or default_workers(), progress, chosen)
+        wanted = tasks or tuple(task for task in TASKS if task not in keep)
+        path = write_lists(version, wanted, counts, workers or default_workers(), progress, chosen, keep)
     click.echo(path)

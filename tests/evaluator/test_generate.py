@@ -97,13 +97,23 @@ def test_what_a_picker_prints_is_not_frozen(manifests: Path, tmp_path: Path, mon
     given: list[Picker] = []
 
     def write(version: str, *rest: Any) -> Path:
-        given.append(rest[-1])
+        given.append(rest[-2])
         return manifest_path(version)
 
     monkeypatch.setattr("evaluator.generate.write_lists", write)
     done = CliRunner().invoke(cli, ["scenarios", "a", "--picker", "random"])
     assert done.exit_code == 0, done.output
     assert given[0].log == tmp_path / "home" / "logs" / "scenarios-a.log"
+
+
+def test_a_list_can_be_kept(manifests: Path) -> None:
+    """A version may draw some tasks anew and name the lists in force of others."""
+    write_lists(VERSION, ("grasp", "push"), {"test": 2, "val": 1}, 1)
+    path = write_lists("a", ("grasp",), {"test": 3, "val": 1}, 1, keep=("push",))
+    entries = json.loads(path.read_text())["lists"]
+    assert entries["push/test"]["file"] == f"../{VERSION}/push_test.parquet"
+    assert len(load_list("grasp", version="a").scenarios) == 3
+    assert load_list("push", version="a").scenarios == load_list("push").scenarios
 
 
 PICKERS = """
