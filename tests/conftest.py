@@ -1,8 +1,16 @@
-"""Every process of the tests computes with one thread: several run at a time, and the networks are small."""
+"""Every process of the tests computes with one thread: several run at a time, and the networks are small.
+
+No example of a property test has a deadline: how long it takes says something about the machine, not about the code.
+"""
 
 from __future__ import annotations
 
 import os
 
+from hypothesis import settings
+
 for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(name, "1")
+
+settings.register_profile("rema", deadline=None)
+settings.load_profile("rema")

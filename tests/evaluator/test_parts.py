@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from evaluator.parts import Part
 from rema_data.errors import InputError
 
 
-@settings(deadline=None)
 @given(st.integers(1, 3000), st.integers(1, 500), st.data())
 def test_parts_cover_all_scenarios_once_in_whole_batches(episodes: int, batch_size: int, data: st.DataObject) -> None:
     count = data.draw(st.integers(1, -(-episodes // batch_size)))

@@ -69,7 +69,7 @@ def test_a_pickle_is_never_opened(tmp_path: Path, suffix: str) -> None:
     path.write_bytes(pickle.dumps({"weights": 1}))
     with pytest.raises(InputError, match="pickle") as caught:
         load_checkpoint(path)
-    assert "safetensors" in caught.value.hint
+    assert f"evaluator.policy.conversion {path}" in caught.value.hint
 
 
 def test_a_pickle_under_another_name(saved: Path) -> None:
