@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rema_data.errors import InputError, MissingFileError
 
@@ -43,27 +43,17 @@ def read_private_key(path: Path, ask: Callable[[], str] | None = None) -> Ed2551
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
     from cryptography.hazmat.primitives.serialization import load_pem_private_key, load_ssh_private_key
 
-    payload = _read(path)
-    load = load_ssh_private_key if payload.startswith(_SSH_PRIVATE) else load_pem_private_key
-    try:
+    def load(payload: bytes) -> object:
+        parse = load_ssh_private_key if payload.startswith(_SSH_PRIVATE) else load_pem_private_key
         try:
-            key = load(payload, None)
+            return parse(payload, None)
         except TypeError:  # it is encrypted
             if ask is None:
                 raise
-            key = load(payload, ask().encode())
-    except Exception as error:  # whatever the parsers of foreign formats raise
-        raise InputError(
-            f"{path} cannot be used as a private key: {error}",
-            hint="make one: openssl genpkey -algorithm ed25519 -out key.pem",
-            path=str(path),
-        ) from error
-    if not isinstance(key, Ed25519PrivateKey):
-        raise InputError(
-            f"{path} holds a private key of another kind than Ed25519",
-            hint="make one: openssl genpkey -algorithm ed25519 -out key.pem",
-            path=str(path),
-        )
+            return parse(payload, ask().encode())
+
+    hint = "make one: openssl genpkey -algorithm ed25519 -out key.pem"
+    key: Ed25519PrivateKey = _key(path, load, Ed25519PrivateKey, "private", hint)
     return key
 
 
@@ -81,21 +71,11 @@ def read_public_key(path: Path) -> Ed25519PublicKey:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
     from cryptography.hazmat.primitives.serialization import load_pem_public_key, load_ssh_public_key
 
-    payload = _read(path)
-    try:
-        key = (load_ssh_public_key if payload.startswith(_SSH_PUBLIC) else load_pem_public_key)(payload)
-    except Exception as error:  # whatever the parsers of foreign formats raise
-        raise InputError(
-            f"{path} cannot be used as a public key: {error}",
-            hint="take it from the private one: openssl pkey -in key.pem -pubout -out public.pem",
-            path=str(path),
-        ) from error
-    if not isinstance(key, Ed25519PublicKey):
-        raise InputError(
-            f"{path} holds a public key of another kind than Ed25519",
-            hint="ask the signer for the Ed25519 public key",
-            path=str(path),
-        )
+    def load(payload: bytes) -> object:
+        return (load_ssh_public_key if payload.startswith(_SSH_PUBLIC) else load_pem_public_key)(payload)
+
+    hint = "take it from the signer's private one: openssl pkey -in key.pem -pubout -out public.pem"
+    key: Ed25519PublicKey = _key(path, load, Ed25519PublicKey, "public", hint)
     return key
 
 
@@ -124,7 +104,14 @@ def _need_cryptography() -> None:
         ) from error
 
 
-def _read(path: Path) -> bytes:
+def _key(path: Path, load: Callable[[bytes], object], kind: Any, what: str, hint: str) -> Any:
+    """The key in a file, parsed by ``load``."""
     if not path.is_file():
         raise MissingFileError(f"key file {path} does not exist", hint="check the path", path=str(path))
-    return path.read_bytes()
+    try:
+        key = load(path.read_bytes())
+    except Exception as error:  # whatever the parsers of foreign formats raise
+        raise InputError(f"{path} cannot be used as a {what} key: {error}", hint=hint, path=str(path)) from error
+    if not isinstance(key, kind):
+        raise InputError(f"{path} holds a {what} key of another kind than Ed25519", hint=hint, path=str(path))
+    return key
