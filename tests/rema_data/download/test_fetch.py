@@ -7,6 +7,7 @@ import resource
 import shutil
 import signal
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -254,6 +255,15 @@ def test_a_whole_release_needs_no_writing(publish: Publish, machine: Path) -> No
     assert before == [(path, path.stat().st_mtime_ns) for path in [machine, *machine.rglob("*")]]
 
 
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Python's own answer to Ctrl-C, which a process that was started in the background does not have."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 def test_an_interruption_ends_soon_and_keeps_what_has_arrived(publish: Publish) -> None:
     """Ctrl-C while a server sends nothing."""
     tiny = publish(sizes={f"{BLOCK}/steps.parquet": 3_000_000})
