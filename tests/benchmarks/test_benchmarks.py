@@ -68,7 +68,7 @@ def test_speed_and_its_page(tmp_path: Path) -> None:
 
 
 def test_memory(tmp_path: Path) -> None:
-    content = measured(tmp_path, "memory", "--episodes", "40", "--engine-episodes", "150")
+    content = measured(tmp_path, "memory", "--episodes", "20", "--engine-episodes", "60")
     assert content["numbers"]["two_workers_mb"] > 0
 
 

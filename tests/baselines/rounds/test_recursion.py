@@ -160,7 +160,9 @@ def test_a_release_of_another_plan_is_not_taken_for_done(tmp_path: Path) -> None
 
 
 def test_one_network_alone(tmp_path: Path) -> None:
-    plan, watcher = load_recursion(TINY), Quiet()
+    path, watcher = tmp_path / "short.toml", Quiet()
+    path.write_text(TINY.read_text().replace("updates = 60", "updates = 4").replace("_every = 30", "_every = 4"))
+    plan = load_recursion(path)
     with pytest.raises(MissingFileError, match="not sealed yet"):
         train_network(plan, tmp_path, "round-1/grasp", watcher)
     with pytest.raises(InputError, match="no network 'round-1/push'") as caught:
