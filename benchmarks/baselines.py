@@ -65,7 +65,7 @@ REMARKS = """The learned policies are far above the paper's in the tasks with to
 Our world has no noise in what is seen or done, and an outcome is a function of scene and action, so a network that is
 right about an action is right about it every time. The paper does not say whether its world has noise.
 
-The rule of decision matters. A network that is sure says 1 for thousands of actions once its probabilities are rounded
+The rule of decision matters. A network that is sure says 1 for many actions once its probabilities are rounded
 to float32, and the first of these is any of them. Round 2 was collected by the argmax of such probabilities; the policy
 now compares log odds. The same weights after round 1 are scored below with log odds, and the table of the data shows
 what they reached in round 2 with probabilities."""
