@@ -100,10 +100,10 @@ def written(folder: Path, *changes: tuple[str, str]) -> Path:
         (('name = "tiny-recursion"', 'nom = "x"'), "nom is not a key"),
         (("tiny-recursion/round-1", "tiny-recursion/round-2"), "no earlier round trains"),
         (("tiny-recursion/round-1", "elsewhere/round-1"), "no earlier round trains"),
-        (("updates = 60", "epochs = 60"), "a training has no epochs"),
+        (("updates = 40", "epochs = 40"), "a training has no epochs"),
         (('network = "round-1/grasp"', 'network = "../grasp"'), "names no network"),
         (('primitive = "grasp"', 'primitive = "throw"'), "throw"),
-        (("{ train = 400, val = 150 }", "{ train = 400, test = 150 }"), "test is not a key"),
+        (("{ train = 200, val = 80 }", "{ train = 200, test = 80 }"), "test is not a key"),
         (('policy = "random"', 'policy = "randon"'), "no policy is called"),
         (("width = 8", "width = 7"), "width = 7"),
         (("seed = 1", "seed = -1"), "seed"),
@@ -151,7 +151,7 @@ def test_networks_that_ship_are_asked_for_where_a_plan_names_none(
 
 
 def test_a_release_of_another_plan_is_not_taken_for_done(tmp_path: Path) -> None:
-    small = written(tmp_path, ("{ train = 400, val = 150 }", "{ train = 9, val = 3 }"))
+    small = written(tmp_path, ("{ train = 200, val = 80 }", "{ train = 9, val = 3 }"))
     watcher = Quiet()
     recurse(load_recursion(small), tmp_path / "out", watcher, stages=1, workers=1)
     assert [stage.already for stage in watcher.stages] == [False]
@@ -161,7 +161,7 @@ def test_a_release_of_another_plan_is_not_taken_for_done(tmp_path: Path) -> None
 
 def test_one_network_alone(tmp_path: Path) -> None:
     path, watcher = tmp_path / "short.toml", Quiet()
-    path.write_text(TINY.read_text().replace("updates = 60", "updates = 4").replace("_every = 30", "_every = 4"))
+    path.write_text(TINY.read_text().replace("updates = 40", "updates = 4").replace("_every = 20", "_every = 4"))
     plan = load_recursion(path)
     with pytest.raises(MissingFileError, match="not sealed yet"):
         train_network(plan, tmp_path, "round-1/grasp", watcher)
