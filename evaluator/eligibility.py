@@ -72,11 +72,10 @@ def obstacles(run: ScoredRun) -> list[Obstacle]:
         found.append(Obstacle("split", test, run.split, f"{run.split} split"))
     if run.stopped_early:
         found.append(Obstacle("stopped_early", "false", "true", "stopped early"))
-    known = installed_list(run.task, run.split)
-    sha256, count = known or ("", 0)
+    sha256, count = installed_list(run.task, test) or ("", 0)
     if not sha256 or run.marks.scenarios_hash != sha256:
         found.append(Obstacle("scenarios_hash", sha256, run.marks.scenarios_hash, "another scenario list"))
-    elif counts.episodes != count:
+    if counts.episodes != count:
         found.append(
             Obstacle("episodes", str(count), str(counts.episodes), f"{counts.episodes:,} of {count:,} scenarios")
         )

@@ -16,7 +16,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from evaluator.evidence.header import read_header
+from evaluator.evidence.header import LOCK_FILE, read_header
 from evaluator.records import ANSWERS, OUTCOMES, Journal, Ledger, Records, read_journal
 from evaluator.runner.audit import audit_summary, repeats
 from evaluator.runner.config import EvaluationResult
@@ -114,7 +114,7 @@ def _distinct(parts: Sequence[Path]) -> list[Path]:
 def _opened(path: Path) -> Iterator[_Part]:
     """A part that nobody is writing in meanwhile."""
     header, _ = read_header(path)
-    lock = FileLock(path / ".lock", timeout=0)
+    lock = FileLock(path / LOCK_FILE, timeout=0)
     try:
         with storage_errors(path):
             lock.acquire()

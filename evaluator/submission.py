@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 from evaluator.eligibility import ACTION_FLIP_LIMIT, obstacles
 from evaluator.entry import Entry, check_link, check_name
 from evaluator.evidence.header import isolation_level
+from evaluator.leaderboard.published import published_table
+from evaluator.leaderboard.row import TAGS
 from evaluator.policy.loading import BUILT_INS, OWN_PREFIX
 from evaluator.scenarios import VERSION
 from evaluator.scored import ScoredRun, acting_steps, read_run
@@ -104,9 +106,11 @@ def make_entry(folder: Path, name: str = "", link: str = "") -> Entry:
             failed=[check.what for check in failed],
         )
     shown = check_name(name or run.policy)
-    if (shown in BUILT_INS or shown.startswith(OWN_PREFIX)) and shown != run.policy:
+    own = shown in BUILT_INS or shown.startswith(OWN_PREFIX)
+    if (own and shown != run.policy) or (not own and shown in {*published_table()["success_percent"], *TAGS}):
         raise SubmissionError(
-            f"{shown!r} is the name of a built-in policy, the run is of {run.policy!r}",
+            f"{shown!r} is the name of a built-in policy, a published one or a kind of policy, "
+            f"the run is of {run.policy!r}",
             hint="choose another name with --name",
             name=shown,
         )

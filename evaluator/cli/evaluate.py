@@ -56,8 +56,8 @@ def evaluate(
 ) -> None:
     """Score POLICY on frozen scenarios and print its success rate with a 95 % interval.
 
-    POLICY is my_policy.py, my_policy.py:ClassName, or a built-in name: random, scripted, tae-joint, tae-separate, and
-    tae, which needs a --checkpoint.
+    POLICY is my_policy.py, my_policy.py:ClassName, or a built-in name: random, scripted, reference, tae-joint,
+    tae-separate, and tae, which needs a --checkpoint.
 
     A run that was stopped goes on where it stopped: run the same command again.
     """

@@ -12,7 +12,7 @@ __all__ = ["leaderboard"]
 
 
 @click.command()
-@click.argument("runs", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("runs", nargs=-1, type=click.Path(exists=True, path_type=Path))
 @click.option(
     "--export", "form", type=click.Choice(["md", "html", "tex", "csv", "json"]), help="Print this format instead."
 )

@@ -112,7 +112,9 @@ def _failures(summary: dict[str, Any], block: str) -> Table:
 
 def _seconds(summary: dict[str, Any]) -> Text:
     seconds = summary["seconds"]
-    phases = " + ".join(f"{name} {seconds[name]:.1f}" for name in _PHASES if name in seconds)
+    spent = {name: seconds[name] for name in _PHASES if name in seconds}
+    spent["other"] = max(0.0, seconds["total"] - sum(spent.values()))
+    phases = " + ".join(f"{name} {value:.1f}" for name, value in spent.items())
     speed = summary.get("episodes_per_second")
     rate = "" if speed is None else f", {speed:,.1f} episodes/s"
     return Text(f"{phases} = {seconds['total']:.1f} s{rate}, {summary['workers']} workers")

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 
 from evaluator.episodes import episodes_schema
 from evaluator.evidence.actions import NOT_ASKED, POLICY_ERROR, actions_of, decode_actions
-from evaluator.evidence.header import RUN_FILE, encode_header, read_header, resume_command
+from evaluator.evidence.header import RUN_FILE, being_written, encode_header, read_header, resume_command
 from evaluator.evidence.merkle import HASH_BYTES, merkle_root
 from evaluator.evidence.rows import row_leaves
 from evaluator.evidence.seal import (
@@ -112,6 +112,10 @@ def read_evidence(folder: Path) -> Evidence:
         ``run.json`` is none.
     """
     header, payload = read_header(folder)
+    if "seal" not in header and being_written(folder):
+        raise MissingFileError(
+            f"{folder} is not sealed yet: a process is writing in it", hint="wait for its end", path=str(folder)
+        )
     if "seal" not in header:
         raise MissingFileError(
             f"{folder} is not sealed: the run was interrupted, or made by a version of rema without seals",

@@ -10,10 +10,12 @@ from evaluator.leaderboard.published import published_rate, published_table
 from evaluator.scored import Audit, FunnelStep, ScoredRun
 from evaluator.statistics import error_bounds, rate_interval, z_against_published
 
-__all__ = ["PUBLISHED", "Row", "published_rows", "row_of"]
+__all__ = ["PUBLISHED", "TAGS", "Row", "published_rows", "row_of"]
 
 PUBLISHED = "published"
 """The tag of the paper's rows."""
+TAGS = ("submitted", "learned", "privileged", "random", PUBLISHED)
+"""Kinds of rows."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import platform
 import subprocess
@@ -18,6 +19,8 @@ __all__ = ["environment", "source_digest"]
 
 _PACKAGES = ("rema", "numpy", "pybullet", "torch", "pyarrow", "scipy")
 _OWN = ("rema_data", "evaluator", "baselines")
+_NOTE = "_commit.json"
+"""Written by hatch_build.py."""
 
 
 def environment() -> dict[str, Any]:
@@ -57,7 +60,10 @@ def _processor() -> str:
 
 
 def _commit() -> dict[str, Any]:
-    """Commit of the checkout that this code runs from, and whether it was changed; null for an installed wheel."""
+    """Commit of the checkout that this code runs from or its wheel was built in, and whether that was changed.
+
+    Null where neither is known.
+    """
     root = Path(__file__).resolve().parents[2]
     if (root / ".git").exists():
         try:
@@ -65,6 +71,9 @@ def _commit() -> dict[str, Any]:
             return {"commit": head, "dirty": bool(_git(root, "status", "--porcelain", "--untracked-files=no"))}
         except (OSError, subprocess.SubprocessError):
             pass
+    with suppress(OSError, ValueError, KeyError):
+        noted = json.loads((root / "evaluator" / _NOTE).read_text(encoding="utf-8"))
+        return {"commit": noted["commit"], "dirty": noted["dirty"]}
     return {"commit": None, "dirty": None}
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from evaluator.evidence.header import RUN_FILE, RUN_FORMAT, encode_header, read_header
+from evaluator.evidence.header import LOCK_FILE, RUN_FILE, RUN_FORMAT, encode_header, read_header
 from evaluator.evidence.seal import ACTIONS_FILE, EPISODES_FILE, LEAVES_FILE, SUMMARY_FILE, changed_parts, make_seal
 from evaluator.evidence.signature import SIGNATURE_FILE
 from evaluator.runner.environment import environment
@@ -85,7 +85,7 @@ class RunFolder:
         """
         with storage_errors(path):
             path.mkdir(parents=True, exist_ok=True)
-            lock = FileLock(path / ".lock", timeout=0)
+            lock = FileLock(path / LOCK_FILE, timeout=0)
             try:
                 lock.acquire()
             except Timeout as error:
@@ -111,8 +111,9 @@ class RunFolder:
         for field, value in wanted.items():
             recorded = self.header["identity"].get(field)
             if recorded != value:
+                changed = "the policy has changed since: " if field == "policy_digest" else ""
                 raise RunMismatchError(
-                    f"{self.path} belongs to another run: its {field} is {recorded}, this one's is {value}",
+                    f"{self.path} belongs to another run: {changed}its {field} is {recorded}, this one's is {value}",
                     hint="choose another folder with --output, or delete this one",
                     path=str(self.path),
                     field=field,

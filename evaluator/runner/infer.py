@@ -87,7 +87,7 @@ def check_faults(ledger: Ledger) -> None:
     raise PolicyFailureError(
         f"the policy failed on {len(faults)} of {len(ledger.answers)} observations (limit {FAULT_LIMIT:.0%}); "
         f"the first time on scenario {first.index}: {first.reason}: {first.detail}",
-        hint="mend the policy and evaluate it into a new folder; what was recorded stays in this one",
+        hint="mend the policy and evaluate it into a new folder (--output); what was recorded stays in this one",
         faults=len(faults),
         answered=len(ledger.answers),
         reason=first.reason,

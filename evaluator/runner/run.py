@@ -127,8 +127,7 @@ class _Run:
     def go(self) -> EvaluationResult:
         done = self._finished()
         if done:
-            earlier = len(self.folder.header["segments"])
-            self.progress.note(f"resumed at {done:,}/{self.config.episodes:,} after {earlier} segments")
+            self.progress.note(f"resumed at {done:,}/{self.config.episodes:,}")
         failed: PolicyFailureError | None = None
         audit: dict[str, Any] | None = None
         try:
@@ -235,7 +234,7 @@ class _Run:
             raise SubmissionError(
                 f"policy {self.config.policy.name} has `privileged` {policy.privileged}, "
                 f"earlier in this run it had {known}",
-                hint="make `privileged` a constant of its class, and evaluate it into a new folder",
+                hint="make `privileged` a constant of its class, and evaluate it into a new folder (--output)",
                 policy=self.config.policy.name,
             )
         self.folder.set_policy(privileged=policy.privileged)

@@ -105,8 +105,8 @@ def midp_mcnemar(table: PairTable) -> float:
     from scipy.stats import binom
 
     fewer = min(table.only_a, table.only_b)
-    p = 2 * float(binom.cdf(fewer, discordant, 0.5)) - float(binom.pmf(fewer, discordant, 0.5))
-    return min(1.0, p)
+    # Twice the tail less the table itself, as a sum: far out, a difference of the two rounds to below zero.
+    return min(1.0, float(binom.cdf(fewer, discordant, 0.5)) + float(binom.cdf(fewer - 1, discordant, 0.5)))
 
 
 def paired_interval(table: PairTable, confidence: float = 0.95) -> tuple[float, float]:

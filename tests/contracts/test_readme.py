@@ -104,11 +104,16 @@ def test_links_of_the_docs_lead_somewhere() -> None:
 
 
 def test_the_wheel_carries_everything(tmp_path: Path) -> None:
-    """Unpacked into an empty folder, the wheel scores a built-in policy on the frozen lists."""
+    """Unpacked into an empty folder, the wheel scores a built-in policy on the frozen lists, and knows its commit."""
     pytest.importorskip("hatchling", reason="building a wheel needs hatchling, part of the extra `test`")
     source = tmp_path / "source"
     ignore = shutil.ignore_patterns(".git", "runs", "__pycache__", ".*_cache", ".hypothesis", "docs", "benchmarks")
     shutil.copytree(ROOT, source, ignore=ignore)
+    who = ("-c", "user.name=a", "-c", "user.email=a@example.org")
+    for words in (["init", "-q"], ["add", "pyproject.toml"], [*who, "commit", "-q", "-m", "x"]):
+        subprocess.run(["git", *words], cwd=source, check=True)
+    command = ["git", "rev-parse", "HEAD"]
+    commit = subprocess.run(command, cwd=source, check=True, capture_output=True, text=True).stdout.strip()
     build = subprocess.run(
         [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path / "dist"), str(source)],
         capture_output=True,
@@ -124,3 +129,5 @@ def test_the_wheel_carries_everything(tmp_path: Path) -> None:
     done = rema("evaluate", "random", "--task", "grasp", "--episodes", "5", "--json", cwd=empty, **environment)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["eligible"] == 5
+    (segment,) = json.loads((empty / "runs" / "random-grasp-conditional" / "run.json").read_text())["segments"]
+    assert (segment["commit"], segment["dirty"]) == (commit, False)

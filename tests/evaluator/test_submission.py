@@ -92,7 +92,10 @@ def test_each_condition_is_named(tmp_path: Path, changes: dict[str, Any], condit
 
 
 def test_the_validation_split_and_short_runs_are_no_submissions(tmp_path: Path) -> None:
-    assert failed(write_run(tmp_path / "val", solved(0.4, 3), split="val")) == ["split"]
+    val = write_run(tmp_path / "val", solved(0.4, 3, 120), split="val")
+    assert failed(val) == ["split", "scenarios_hash", "episodes"]
+    wanted = {check.what: check.wanted for check in check_run(val)}
+    assert wanted["episodes"] == str(EPISODES), "of the test list"
     assert failed(write_run(tmp_path / "short", solved(0.4, 3, 120))) == ["episodes"]
 
 
@@ -150,9 +153,11 @@ def test_names_on_the_board(tmp_path: Path) -> None:
     folder = write_run(tmp_path / "run", solved(0.4, 3))
     assert make_entry(folder).run.policy == "my_policy"
     assert make_entry(folder, "ours-2").run.policy == "ours-2"
-    for taken in ("random", "tae-joint", "tae-better"):
+    for taken in ("random", "tae-joint", "tae-better", "joint", "published", "learned"):
         with pytest.raises(SubmissionError, match="built-in"):
             make_entry(folder, taken)
+    with pytest.raises(SubmissionError, match="'separate' is the name of"):
+        make_entry(write_run(tmp_path / "file", solved(0.4, 3), policy="separate"))
     with pytest.raises(InputError):
         make_entry(folder, "two words")
     with pytest.raises(InputError):

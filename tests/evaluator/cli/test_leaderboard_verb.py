@@ -100,7 +100,10 @@ def test_json_is_an_object_alone(write: Write) -> None:
 
 
 def test_bad_runs(write: Write, tmp_path: Path) -> None:
-    result = board(tmp_path / "none")
+    result = board(tmp_path / "none", write("there", solved(0.5, 3)))
+    assert result.exit_code == 2 and "does not exist" in result.stderr and not result.stdout
+    (tmp_path / "empty").mkdir()
+    result = board(tmp_path / "empty")
     assert result.exit_code == 2 and "holds no finished run" in result.stderr
     broken = write("broken", solved(0.7, 2))
     for content in ("{", "[]", "{}", '{"task": "grasp"}'):

@@ -15,9 +15,11 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from filelock import FileLock
 
 from evaluator.evidence.actions import POLICY_ERROR, decode_actions
 from evaluator.evidence.check import read_evidence
+from evaluator.evidence.header import LOCK_FILE
 from evaluator.replay import ReplayReport, replay, sign
 from evaluator.runner import run_evaluation
 from evaluator.runner.tally import tally
@@ -228,6 +230,11 @@ def test_an_interrupted_run_names_the_command_that_goes_on(home: Path, tmp_path:
     with pytest.raises(MissingFileError, match="interrupted") as caught:
         play(tmp_path / "run")
     assert "rema evaluate fake.py:Policy --task grasp" in caught.value.hint
+    with (
+        FileLock(tmp_path / "run" / LOCK_FILE),
+        pytest.raises(MissingFileError, match="a process is writing in it"),
+    ):
+        play(tmp_path / "run")
     run_evaluation(config, backend=fake_backend())
     assert play(tmp_path / "run").ok
 

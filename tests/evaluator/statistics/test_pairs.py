@@ -81,6 +81,14 @@ def test_midp_is_the_exact_test_less_half_of_what_was_seen(table: PairTable) -> 
     assert midp_mcnemar(swapped) == pytest.approx(p)
 
 
+def test_midp_is_a_probability_far_out() -> None:
+    """Where it is below the smallest normal number, a difference of tail and table rounds to below zero."""
+    tables = [PairTable(0, fewer, more - fewer, 0) for more in range(1000, 1400, 25) for fewer in range(0, 40, 3)]
+    found = [midp_mcnemar(table) for table in [*tables, PairTable(7000, 1070, 6, 124), PairTable(0, 10_000, 0, 0)]]
+    assert all(0 <= p < 1e-200 for p in found)
+    assert max(found) > 0
+
+
 @pytest.mark.parametrize("discordance", [0.1, 0.3])
 def test_midp_rarely_claims_a_difference_that_is_not_there(discordance: float) -> None:
     """Exact: the discordant pairs are binomial, and fall on either side with equal chance."""
