@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
+from typing import Any
 
 from evaluator.protocol import protocol_hash
 from evaluator.scenarios import SPLITS, VERSION, manifest_path
 from evaluator.scored import ScoredRun
-from rema_data.errors import IntegrityError
+from rema_data.manifests import read_manifest
 
 __all__ = ["ACTION_FLIP_LIMIT", "Obstacle", "infra_limit", "installed_list", "obstacles"]
 
@@ -47,14 +47,14 @@ def installed_list(task: str, split: str) -> tuple[str, int] | None:
         The manifest of the lists cannot be read.
     """
     path = manifest_path(VERSION)
-    try:
-        entry = json.loads(path.read_text(encoding="utf-8"))["lists"].get(f"{task}/{split}")
-        return None if entry is None else (str(entry["sha256"]), int(entry["count"]))
-    except FileNotFoundError:
+    if not path.is_file():
         return None
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        hint = "restore it from the repository: git checkout -- manifests"
-        raise IntegrityError(f"scenario manifest {path} cannot be read", hint=hint, path=str(path)) from error
+
+    def named(content: Any) -> tuple[str, int] | None:
+        entry = content["lists"].get(f"{task}/{split}")
+        return None if entry is None else (str(entry["sha256"]), int(entry["count"]))
+
+    return read_manifest(path, "scenario manifest", named)
 
 
 def infra_limit() -> float:

@@ -7,7 +7,6 @@ the picker fails to turn into a tool is drawn again; the manifest says how often
 from __future__ import annotations
 
 import hashlib
-import json
 import multiprocessing
 import os
 from collections.abc import Iterator
@@ -37,6 +36,7 @@ from evaluator.sim.reference import prepare
 from evaluator.sim.simulator import Simulator
 from evaluator.sim.spawn import episode_generator
 from rema_data.errors import InputError, IntegrityError
+from rema_data.manifests import RESTORE, read_manifest
 from rema_data.schema import TASKS, Scenario, check_task
 
 __all__ = ["COUNTS", "ROOT_SEED", "Picker", "draw_scenario", "generate_list", "picked_list", "write_lists"]
@@ -216,14 +216,7 @@ def _entries(manifest: Path) -> dict[str, dict[str, Any]]:
     """What a manifest names; nothing where it is not there."""
     if not manifest.is_file():
         return {}
-    try:
-        return dict(json.loads(manifest.read_text(encoding="utf-8"))["lists"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise IntegrityError(
-            f"scenario manifest {manifest} cannot be read",
-            hint="restore it from the repository: git checkout -- manifests",
-            path=str(manifest),
-        ) from error
+    return read_manifest(manifest, "scenario manifest", lambda content: dict(content["lists"]))
 
 
 def _write(
@@ -236,7 +229,7 @@ def _write(
     if named is not None and hashlib.sha256(encode_list(scenarios)).hexdigest() != named["sha256"]:
         raise IntegrityError(
             f"{manifest} names {named['file']}, which is gone, and {task}/{split} drawn again is another list",
-            hint="restore it from the repository: git checkout -- manifests; or choose another VERSION",
+            hint=f"{RESTORE}; or choose another VERSION",
             path=str(file),
         )
     update_manifest(

@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from rema_data.errors import InputError, IntegrityError, MissingFileError
-from rema_data.manifests import manifests_dir
+from rema_data.manifests import RESTORE, manifests_dir, read_manifest
 from rema_data.schema import (
     TASKS,
     Embodiment,
@@ -251,15 +251,9 @@ def load_list(task: str, split: str = "test", version: str | None = None) -> Sce
             hint="use a version that is there, or restore it: git checkout -- manifests",
             path=str(path),
         )
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        lists, version = dict(content["lists"]), str(content["version"])
-    except (ValueError, KeyError, TypeError):
-        raise IntegrityError(
-            f"scenario manifest {path} cannot be read",
-            hint="restore it from the repository: git checkout -- manifests",
-            path=str(path),
-        ) from None
+    lists, version = read_manifest(
+        path, "scenario manifest", lambda content: (dict(content["lists"]), str(content["version"]))
+    )
     entry = lists.get(f"{task}/{split}")
     if entry is None:
         raise InputError(
@@ -274,14 +268,13 @@ def load_list(task: str, split: str = "test", version: str | None = None) -> Sce
 
 def _read(path: Path, sha256: str, task: str, split: str) -> tuple[Scenario, ...]:
     if not path.is_file():
-        hint = "restore it from the repository: git checkout -- manifests"
-        raise MissingFileError(f"scenario list {path} does not exist", hint=hint, path=str(path))
+        raise MissingFileError(f"scenario list {path} does not exist", hint=RESTORE, path=str(path))
     payload = path.read_bytes()
     got = hashlib.sha256(payload).hexdigest()
     if got != sha256:
         raise IntegrityError(
             f"scenario list {path} has sha256 {got}, its manifest says {sha256}",
-            hint="restore it from the repository: git checkout -- manifests",
+            hint=RESTORE,
             path=str(path),
             expected=sha256,
             got=got,

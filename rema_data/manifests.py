@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, TypeVar
 
-from rema_data.errors import MissingFileError
+from rema_data.errors import IntegrityError, MissingFileError
 
-__all__ = ["manifests_dir"]
+__all__ = ["RESTORE", "manifests_dir", "read_manifest"]
+
+RESTORE = "restore it from the repository: git checkout -- manifests"
+"""The hint where a manifest is damaged or missing."""
+_Read = TypeVar("_Read")
 
 
 def manifests_dir() -> Path:
@@ -30,3 +37,28 @@ def manifests_dir() -> Path:
     searched = ", ".join(str(folder) for folder in choices)
     hint = "correct or unset REMA_MANIFESTS" if override else "install rema again: pip install --force-reinstall rema"
     raise MissingFileError(f"there is no manifests folder at {searched}", hint=hint, searched=searched)
+
+
+def read_manifest(path: Path, what: str, parse: Callable[[Any], _Read]) -> _Read:
+    """What a manifest says.
+
+    Parameters
+    ----------
+    path : Path
+        A JSON file.
+    what : str
+        What it is, as messages call it: ``scenario manifest``.
+    parse : callable
+        Makes something of its content; a ValueError, KeyError, TypeError or AttributeError says that it cannot.
+
+    Raises
+    ------
+    MissingFileError, IntegrityError
+        It is not there, or cannot be read.
+    """
+    try:
+        return parse(json.loads(path.read_bytes()))
+    except FileNotFoundError:
+        raise MissingFileError(f"{what} {path} does not exist", hint=RESTORE, path=str(path)) from None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise IntegrityError(f"{what} {path} cannot be read", hint=RESTORE, path=str(path)) from error

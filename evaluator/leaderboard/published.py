@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 from evaluator.policy.loading import OWN_PREFIX
-from rema_data.errors import MissingFileError
-from rema_data.manifests import manifests_dir
+from rema_data.manifests import manifests_dir, read_manifest
 
 __all__ = ["published_rate", "published_table"]
 
@@ -17,14 +15,10 @@ def published_table() -> dict[str, Any]:
 
     Raises
     ------
-    MissingFileError
-        It is not there.
+    MissingFileError, IntegrityError
+        It is not there, or cannot be read.
     """
-    path = manifests_dir() / "published" / "table2.json"
-    if not path.is_file():
-        raise MissingFileError(f"{path} does not exist", hint="install rema again", path=str(path))
-    table: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    return table
+    return read_manifest(manifests_dir() / "published" / "table2.json", "the table of published numbers", dict)
 
 
 def published_rate(policy: str, task: str) -> float | None:

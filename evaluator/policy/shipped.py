@@ -13,9 +13,10 @@ import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from rema_data.errors import IntegrityError, MissingFileError
-from rema_data.manifests import manifests_dir
+from rema_data.manifests import manifests_dir, read_manifest
 from rema_data.release.folder import downloads_folder, local_sources
 from rema_data.storage import write_atomic
 
@@ -36,15 +37,11 @@ def shipped_policies() -> dict[str, tuple[str, dict[str, str]]]:
     path = _manifest()
     if not path.is_file():
         return {}
-    try:
-        entries = json.loads(path.read_text(encoding="utf-8"))["policies"]
-        return {name: (str(entry["folder"]), dict(entry["files"])) for name, entry in entries.items()}
-    except (ValueError, KeyError, TypeError) as error:
-        raise IntegrityError(
-            f"the manifest of networks {path} cannot be read",
-            hint="restore it from the repository: git checkout -- manifests",
-            path=str(path),
-        ) from error
+
+    def entries(content: Any) -> dict[str, tuple[str, dict[str, str]]]:
+        return {name: (str(one["folder"]), dict(one["files"])) for name, one in content["policies"].items()}
+
+    return read_manifest(path, "the manifest of networks", entries)
 
 
 def shipped_checkpoint(policy: str) -> Path | None:

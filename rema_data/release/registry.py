@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from rema_data.errors import InputError, IntegrityError, MissingFileError
-from rema_data.manifests import manifests_dir
+from rema_data.errors import InputError, MissingFileError
+from rema_data.manifests import RESTORE, manifests_dir, read_manifest
 from rema_data.release.manifest import Manifest, check_name, parse_manifest
 from rema_data.storage import write_atomic
 
@@ -37,15 +38,11 @@ def published() -> tuple[Published, ...]:
     MissingFileError, IntegrityError
         The index is not there, or cannot be read.
     """
-    path = _folder() / "index.json"
-    hint = "restore it from the repository: git checkout -- manifests"
-    try:
-        rows = json.loads(path.read_bytes())["releases"]
-        return tuple(Published(check_name(row["name"]), str(row["sha256"])) for row in rows)
-    except FileNotFoundError:
-        raise MissingFileError(f"there is no index of releases at {path}", hint=hint, path=str(path)) from None
-    except (ValueError, KeyError, TypeError) as error:
-        raise IntegrityError(f"the index of releases {path} cannot be read", hint=hint, path=str(path)) from error
+
+    def releases(content: Any) -> tuple[Published, ...]:
+        return tuple(Published(check_name(row["name"]), str(row["sha256"])) for row in content["releases"])
+
+    return read_manifest(_folder() / "index.json", "the index of releases", releases)
 
 
 def newest() -> str:
@@ -70,10 +67,9 @@ def load_published(name: str) -> Manifest:
     if name not in entries:
         raise InputError(f"there is no release {name!r}", hint=f"choose one of: {', '.join(entries)}", name=name)
     path = _folder() / f"{name}.json"
-    hint = "restore it from the repository: git checkout -- manifests"
     if not path.is_file():
-        raise MissingFileError(f"the manifest {path} does not exist", hint=hint, path=str(path))
-    return parse_manifest(path.read_bytes(), str(path), entries[name].sha256, hint)
+        raise MissingFileError(f"the manifest {path} does not exist", hint=RESTORE, path=str(path))
+    return parse_manifest(path.read_bytes(), str(path), entries[name].sha256, RESTORE)
 
 
 def register(manifest: Manifest) -> Path:

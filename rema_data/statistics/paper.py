@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from rema_data.errors import IntegrityError, MissingFileError
-from rema_data.manifests import manifests_dir
+from rema_data.manifests import manifests_dir, read_manifest
 from rema_data.schema import TASKS
 from rema_data.statistics.count import Statistics
 
@@ -90,15 +88,12 @@ def published_counts() -> dict[str, Counts]:
     MissingFileError, IntegrityError
         The file of the published numbers is not there, or cannot be read.
     """
-    path = manifests_dir() / "published" / "table2.json"
-    hint = "restore it from the repository: git checkout -- manifests"
-    try:
-        dataset = json.loads(path.read_bytes())["dataset"]
-        return {task: Counts(int(dataset["positives"][task]), int(dataset["negatives"][task])) for task in ROUNDS}
-    except FileNotFoundError:
-        raise MissingFileError(f"the published numbers {path} do not exist", hint=hint, path=str(path)) from None
-    except (ValueError, KeyError, TypeError) as error:
-        raise IntegrityError(f"the published numbers {path} cannot be read", hint=hint, path=str(path)) from error
+
+    def counts(content: Any) -> dict[str, Counts]:
+        positives, negatives = content["dataset"]["positives"], content["dataset"]["negatives"]
+        return {task: Counts(int(positives[task]), int(negatives[task])) for task in ROUNDS}
+
+    return read_manifest(manifests_dir() / "published" / "table2.json", "the table of published numbers", counts)
 
 
 def compare(statistics: Statistics) -> Comparison:
