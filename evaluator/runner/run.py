@@ -121,6 +121,7 @@ class _Run:
         self.ledger = Ledger(folder.records, folder.segment)
         self.seconds = dict.fromkeys(PHASES, 0.0)
         self.own_bank = folder.path / ".observations"
+        self._walls_told = ""
         everything = range(config.episodes)
         self.mine = everything if config.shard is None else config.shard.indices(config.episodes, config.batch_size)
 
@@ -239,7 +240,8 @@ class _Run:
             )
         self.folder.set_policy(privileged=policy.privileged)
         isolation = getattr(policy, "isolation", None)
-        if isolation is not None:
+        if isolation is not None and str(isolation) != self._walls_told:
+            self._walls_told = str(isolation)  # it is started more than once
             self.progress.note(f"policy isolation {isolation}")
         self.folder.note_segment(isolation=None if isolation is None else isolation.to_dict())
 
