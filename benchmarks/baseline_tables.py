@@ -49,7 +49,9 @@ def rates_table(runs: Mapping[str, Summary], protocol: str) -> str:
             rows.append([policy, *("" if run is None else rate(run) for run in own.values())])
             paper = PUBLISHED.get(policy.removeprefix("tae-"), {})
             if protocol == "conditional":
-                rows.append(["*the paper's*", *(f"*{paper[task]:.1f}*" if task in paper else "" for task in tasks)])
+                rows.append(
+                    ["*the paper's*", *(f"*{percent(paper[task] / 100)}*" if task in paper else "" for task in tasks)]
+                )
     return markdown(["policy", *tasks], rows)
 
 
@@ -109,7 +111,10 @@ def paper_table(comparison: Comparison) -> str:
 
     lines = (*comparison.tasks, comparison.total, *comparison.earlier, comparison.executed)
     header = ["rows", "ours: positive", "negative", "the paper's: positive", "negative"]
-    return markdown(header, [[line.name, *shown(line.ours), *shown(line.paper)] for line in lines])
+    early = {"grasp": "tool picks", "grasp_grasp": "tool pinches"}
+    names = [early.get(line.name, line.name) if line in comparison.earlier else line.name for line in lines]
+    table = [[name, *shown(line.ours), *shown(line.paper)] for name, line in zip(names, lines, strict=True)]
+    return markdown(header, table)
 
 
 def targets_table(runs: Mapping[str, Summary]) -> str:

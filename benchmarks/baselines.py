@@ -12,8 +12,6 @@ stays out of the tables.
 from __future__ import annotations
 
 import argparse
-import json
-import shutil
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -42,9 +40,8 @@ from benchmarks.baseline_tables import (
     rounds_table,
     targets_table,
 )
-from benchmarks.results import RESULTS, ROOT
-from evaluator.eligibility import installed_list
-from evaluator.protocol import protocol_hash
+from benchmarks.kept_runs import keep, kept_runs
+from benchmarks.results import ROOT
 from rema_data.loader.release import load
 from rema_data.release.folder import find_release
 from rema_data.statistics.count import count
@@ -69,20 +66,6 @@ The rule of decision matters. A network that is sure says 1 for many actions onc
 to float32, and the first of these is any of them. Round 2 was collected by the argmax of such probabilities; the policy
 now compares log odds. The same weights after round 1 are scored below with log odds, and the table of the data shows
 what they reached in round 2 with probabilities."""
-
-
-def summaries() -> dict[str, Summary]:
-    """Kept summaries by the name of the run's folder: those over the whole test list, under the rules in force."""
-    found = {}
-    for path in sorted((RESULTS / "runs").glob("*.json")):
-        summary = json.loads(path.read_text())
-        task, listed = summary["task"], installed_list(summary["task"], "test")
-        rules = (summary["scenarios_hash"], summary["episodes"]), protocol_hash(task, summary["protocol"])
-        if (listed, summary["protocol_hash"]) != rules or summary.get("unfinished") or summary.get("stopped_early"):
-            print(f"left out: {path.name} is not of the test list and the protocol in force", file=sys.stderr)
-            continue
-        found[path.stem] = summary
-    return found
 
 
 def draw_rounds(found: Mapping[str, Mapping[int, Summary]], plan: RecursionPlan, path: Path) -> None:
@@ -120,7 +103,7 @@ def draw_sheet(plan: RecursionPlan, path: Path) -> None:
 def page(plan: RecursionPlan, images: Path) -> str:
     """The whole page; draws its figures."""
     images.mkdir(exist_ok=True)
-    runs = summaries()
+    runs = kept_runs()
     found = by_round(runs, plan)
     draw_rounds(found, plan, images / "success_by_round.png")
     newest = next(
@@ -185,9 +168,7 @@ def main() -> None:
     parser.add_argument("--page", type=Path, default=PAGE)
     parser.add_argument("--maps", action="store_true", help="also draw the predicted maps anew")
     arguments = parser.parse_args()
-    kept = RESULTS / "runs"
-    for run in arguments.runs:
-        shutil.copyfile(run / "summary.json", kept / f"{run.name}.json")
+    keep(arguments.runs)
     if arguments.maps:
         draw_sheet(load_recursion(arguments.plan.resolve()), arguments.page.parent / "images" / "tae_maps.png")
     made = page(load_recursion(arguments.plan.resolve()), arguments.page.parent / "images")

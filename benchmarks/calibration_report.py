@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.calibrate import PUBLISHED, markdown
+from benchmarks.kept_runs import keep, kept_runs
 from benchmarks.results import RESULTS, ROOT
 
 PAGE = ROOT / "docs" / "calibration.md"
@@ -79,16 +79,14 @@ def main() -> None:
     parser.add_argument("--runs", nargs="*", type=Path, default=[])
     parser.add_argument("--page", type=Path, default=PAGE)
     arguments = parser.parse_args()
-    kept = RESULTS / "runs"
-    kept.mkdir(parents=True, exist_ok=True)
-    for run in arguments.runs:
-        shutil.copyfile(run / "summary.json", kept / f"{run.name}.json")
+    keep(arguments.runs)
     text = arguments.page.read_text(encoding="utf-8")
     calibration = json.loads((RESULTS / "calibration.json").read_text(encoding="utf-8"))
     text = replace_block(text, "calibration", markdown(calibration["rows"]))
-    summaries = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(kept.glob("*.json"))]
     conditional = [
-        run for run in summaries if run["protocol"] == "conditional" and run["policy"] in ("random", "scripted")
+        run
+        for run in kept_runs().values()
+        if run["protocol"] == "conditional" and run["policy"] in ("random", "scripted")
     ]
     text = replace_block(text, "runs", runs_table(conditional))
     sensitivity = RESULTS / "sensitivity.json"

@@ -1,4 +1,4 @@
-"""Draw the pictures of the README: one successful episode of each task, into docs/images.
+"""Draw the pictures of the README and of docs/world.md: one successful episode of each task, into docs/images.
 
     python benchmarks/gallery.py
     python benchmarks/gallery.py --tasks grasp,push --folder /tmp/images

@@ -28,7 +28,7 @@ DIVERGED = "diverged"
 class DivergedError(RemaError, ArithmeticError):
     """The loss, or the network itself, is not a number any more."""
 
-    exit_code = 1
+    exit_code = 2
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,7 +59,7 @@ def draw_spec(rng: np.random.Generator, stick: bool, parameters: WorldParameters
 
 
 def draw_placement(rng: np.random.Generator, kind: StepKind, stick: bool, p: WorldParameters = WORLD) -> Placement:
-    """A random object at a random place for a step: pushes start further to -x, so that there is room behind them."""
+    """A random object at a random place for a step: pushed ones start further to +x, with room behind them."""
     spec = draw_spec(rng, stick, p)
     if kind.primitive is Primitive.PUSH:
         x = float(rng.uniform(p.push_spawn_x_min_m, p.push_spawn_x_max_m))
