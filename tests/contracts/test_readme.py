@@ -49,7 +49,12 @@ def test_the_main_job(tmp_path: Path) -> None:
 
 
 def test_the_training_loop_runs_as_written(tmp_path: Path) -> None:
-    """Before any download, on the bundled sample."""
+    """Where nothing is published yet but the bundled sample: the newest release is far larger, and decoded first."""
+    published = tmp_path / "manifests" / "datasets"
+    shutil.copytree(ROOT / "manifests", published.parent)
+    index = json.loads((published / "index.json").read_text())
+    rows = [row for row in index["releases"] if row["name"] == "rema-sample"]
+    (published / "index.json").write_text(json.dumps({"releases": rows}))
     loop = re.search(r"```python\n(import torch.*?)```", README, flags=re.DOTALL)
     assert loop
     script = tmp_path / "loop.py"
@@ -60,7 +65,12 @@ def test_the_training_loop_runs_as_written(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, str(script)],
         cwd=tmp_path,
-        env={**os.environ, "REMA_HOME": str(tmp_path / "home"), "PYTHONPATH": str(ROOT)},
+        env={
+            **os.environ,
+            "REMA_HOME": str(tmp_path / "home"),
+            "REMA_MANIFESTS": str(published.parent),
+            "PYTHONPATH": str(ROOT),
+        },
         capture_output=True,
         text=True,
         timeout=180,
