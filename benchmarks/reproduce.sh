@@ -37,8 +37,8 @@ for task in $tasks; do
     case $task in *_*) rema evaluate $policy --task $task --device openvino --protocol end-to-end ;; esac
   done
 done
-for policy in random scripted; do
-  rema evaluate $policy --task grasp_grasp_push
+for policy in random scripted tae-joint; do
+  rema evaluate $policy --task grasp_grasp_push --device openvino
 done
 for round in 1 2; do
   rema evaluate tae --checkpoint $networks/round-$round --task grasp --device openvino \
