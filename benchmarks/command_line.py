@@ -63,7 +63,8 @@ def _names(option: click.Option) -> str:
 def _values(option: click.Option) -> str:
     """Choices or the name of a value, and what holds where it is not given."""
     if option.is_flag:
-        return ""
+        chosen = option.opts if option.default else option.secondary_opts
+        return f"by default `{chosen[0]}`" if option.secondary_opts else ""
     kind = option.type
     shown = ", ".join(f"`{choice}`" for choice in kind.choices) if isinstance(kind, click.Choice) else ""
     shown = shown or (option.metavar or kind.name.split()[0].upper())
