@@ -111,10 +111,7 @@ def paper_table(comparison: Comparison) -> str:
 
     lines = (*comparison.tasks, comparison.total, *comparison.earlier, comparison.executed)
     header = ["rows", "ours: positive", "negative", "the paper's: positive", "negative"]
-    early = {"grasp": "tool picks", "grasp_grasp": "tool pinches"}
-    names = [early.get(line.name, line.name) if line in comparison.earlier else line.name for line in lines]
-    table = [[name, *shown(line.ours), *shown(line.paper)] for name, line in zip(names, lines, strict=True)]
-    return markdown(header, table)
+    return markdown(header, [[line.name, *shown(line.ours), *shown(line.paper)] for line in lines])
 
 
 def targets_table(runs: Mapping[str, Summary]) -> str:

@@ -18,9 +18,6 @@ if TYPE_CHECKING:
 
 __all__ = ["stats"]
 
-_EARLIER = {"grasp": "tool picks", "grasp_grasp": "tool pinches"}
-"""What a step before the last one is called, by its skill."""
-
 
 @click.command()
 @click.argument("release", required=False)
@@ -133,7 +130,7 @@ def _paper_table(comparison: Comparison, release: str) -> Table:
     table.add_section()
     table.add_row(comparison.total.name, *_cells(comparison.total), style="bold")
     for row in comparison.earlier:
-        table.add_row(_EARLIER.get(row.name, row.name), *_cells(row))
+        table.add_row(row.name, *_cells(row))
     table.add_section()
     table.add_row(comparison.executed.name, *_cells(comparison.executed), style="bold")
     return table

@@ -17,6 +17,9 @@ EPISODES_A_ROUND = 12_000
 ROUNDS = {"grasp": 3, "push": 2, "grasp_grasp": 2, "grasp_push": 2}
 """Rounds in which the paper collected a task (paper, "ReMa Dataset")."""
 
+_EARLIER = {"grasp": "tool picks", "grasp_grasp": "tool pinches"}
+"""What a step before the last one is called, by its skill."""
+
 
 @dataclass(frozen=True, slots=True)
 class Counts:
@@ -62,7 +65,7 @@ class Comparison:
     total : PaperRow
         Their sum.
     earlier : tuple of PaperRow
-        Steps before the last one, by skill; the tool picks are called ``grasp``.
+        Steps before the last one, by skill: tool picks (grasps) and tool pinches.
     executed : PaperRow
         Every step that was executed: the two sums together.
     remarks : tuple of str
@@ -117,7 +120,7 @@ def compare(statistics: Statistics) -> Comparison:
     return Comparison(
         tasks,
         PaperRow("last steps", sum(paper.values(), Counts(0, 0)), ours),
-        tuple(PaperRow(name, None, counts) for name, counts in earlier.items()),
+        tuple(PaperRow(_EARLIER.get(skill, skill), None, counts) for skill, counts in earlier.items()),
         PaperRow("executed steps", None, sum(earlier.values(), ours)),
         _remarks(paper),
     )

@@ -46,8 +46,8 @@ def test_both_sums_and_the_tool_picks_between_them() -> None:
     assert found.total.paper is not None and found.total.paper.rows == 118_870
     assert found.total.ours == Counts(35 + 10 + 2, 85 + 80 + 5)
     picks, pinches = found.earlier
-    assert (picks.name, picks.ours) == ("grasp", Counts(107, 12))
-    assert (pinches.name, pinches.ours) == ("grasp_grasp", Counts(7, 1))
+    assert (picks.name, picks.ours) == ("tool picks", Counts(107, 12))
+    assert (pinches.name, pinches.ours) == ("tool pinches", Counts(7, 1))
     assert found.executed.ours is not None and found.executed.ours.rows == sum(step.reached for step in OURS.steps)
 
 
