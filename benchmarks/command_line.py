@@ -1,5 +1,7 @@
 """Write docs/command_line.md: every verb of ``rema`` and every option, from the commands themselves.
 
+A test holds the page equal to them; after a change of the commands:
+
 python benchmarks/command_line.py
 """
 
