@@ -12,6 +12,7 @@ stays out of the tables.
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -41,7 +42,8 @@ from benchmarks.baseline_tables import (
     targets_table,
 )
 from benchmarks.kept_runs import keep, kept_runs
-from benchmarks.results import ROOT
+from benchmarks.report import measured
+from benchmarks.results import RESULTS, ROOT
 from rema_data.loader.release import load
 from rema_data.release.folder import find_release
 from rema_data.statistics.count import count
@@ -100,6 +102,14 @@ def draw_sheet(plan: RecursionPlan, path: Path) -> None:
     draw_maps(network, data.validation, path)
 
 
+def ablation() -> list[str]:
+    """What the success after round 1 depends on, where that was measured."""
+    path = RESULTS / "ablation.json"
+    if not path.is_file():
+        return []
+    return ["## What round 1 depends on", "\n".join(measured(json.loads(path.read_text(encoding="utf-8"))))]
+
+
 def page(plan: RecursionPlan, images: Path) -> str:
     """The whole page; draws its figures."""
     images.mkdir(exist_ok=True)
@@ -125,6 +135,7 @@ def page(plan: RecursionPlan, images: Path) -> str:
         "The networks of a round are trained on the data up to it, and scored on the frozen test scenarios "
         "(conditional protocol): `rema evaluate tae --checkpoint releases/checkpoints/rema-v0/round-N --task TASK "
         "--output runs/round-N-TASK-conditional`; after the last round `rema evaluate tae-joint --task TASK`.",
+        *ablation(),
         "## All policies, conditional protocol, %",
         rates_table(runs, "conditional"),
         "`rema evaluate POLICY --task TASK`: 10,000 scenarios, Wilson 95 % intervals.",

@@ -74,17 +74,22 @@ def page(results: list[dict[str, Any]]) -> str:
         if SECTIONS[result["benchmark"]] != title:
             title = SECTIONS[result["benchmark"]]
             lines += ["", f"## {title}"]
-        lines += ["", "```", result["command"], "```"]
-        for table in result["tables"]:
-            lines += ["", f"**{table['title'][:1].upper()}{table['title'][1:]}**", "", *_table(**table)]
-        if result["targets"]:
-            rows = [
-                [row["what"], row["wanted"], row["measured"], "yes" if row["reached"] else "**no**"]
-                for row in result["targets"]
-            ]
-            lines += ["", *_table("", ["target", "wanted", "measured", "reached"], rows)]
-        lines += [f"\n{note.strip()}" for note in result["notes"]]
+        lines += measured(result)
     return "\n".join(lines) + "\n"
+
+
+def measured(result: dict[str, Any]) -> list[str]:
+    """What one benchmark found, with its command: tables, targets and notes, Markdown."""
+    lines = ["", "```", result["command"], "```"]
+    for table in result["tables"]:
+        lines += ["", f"**{table['title'][:1].upper()}{table['title'][1:]}**", "", *_table(**table)]
+    if result["targets"]:
+        rows = [
+            [row["what"], row["wanted"], row["measured"], "yes" if row["reached"] else "**no**"]
+            for row in result["targets"]
+        ]
+        lines += ["", *_table("", ["target", "wanted", "measured", "reached"], rows)]
+    return lines + [f"\n{note.strip()}" for note in result["notes"]]
 
 
 def _machines(results: list[dict[str, Any]]) -> list[str]:
@@ -92,10 +97,9 @@ def _machines(results: list[dict[str, Any]]) -> list[str]:
     lines = []
     for result in results:
         machine = result["machine"]
-        line = (
-            f"Machine: {machine['cpu']}, {machine['cores']} cores, {machine['system']}; Python {machine['python']}, "
-            f"pybullet {machine['pybullet']}, numpy {machine['numpy']}."
-        )
+        versions = {"Python": machine["python"], "pybullet": machine["pybullet"], "numpy": machine["numpy"]}
+        installed = ", ".join(f"{name} {version}" for name, version in versions.items() if version is not None)
+        line = f"Machine: {machine['cpu']}, {machine['cores']} cores, {machine['system']}; {installed}."
         if line not in lines:
             lines.append(line)
     loads = [result["machine"]["load_average"] for result in results if result["machine"]["load_average"] is not None]

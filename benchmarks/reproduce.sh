@@ -48,6 +48,7 @@ for task in $tasks; do
   rema evaluate tae --checkpoint $networks/round-3 --task $task --device openvino \
     --output runs/round-3-$task-conditional
 done
+python benchmarks/ablation.py --output runs/ablation --device cuda --json $results/ablation.json
 python benchmarks/baselines.py --maps --runs runs/*
 python benchmarks/calibration_report.py --runs runs/{random,scripted}-*-conditional
 python benchmarks/full_run.py --runs runs/{random,scripted}-*-conditional --json $results/full_run.json
@@ -58,6 +59,7 @@ done
 python benchmarks/leaderboard.py
 python benchmarks/command_line.py
 python benchmarks/train.py --json $results/train.json
+python benchmarks/train.py --device cuda --batches 8,32,128,512,2048 --updates 8 --json $results/train_cuda.json # on a GPU
 python benchmarks/infer.py --checkpoint releases/checkpoints/rema-v0/joint --runtimes --json $results/infer.json
 
 python benchmarks/isolation.py --run runs/random-grasp-conditional --json $results/isolation.json

@@ -1,7 +1,7 @@
 """Training speed: this training against the same network written the straightforward way, on the same data, in turns.
 
     python benchmarks/train.py                                         # rema-mini, batches of 8
-    python benchmarks/train.py --device cuda --batches 8,64,256,1024   # where a GPU is at hand
+    python benchmarks/train.py --device cuda --batches 8,32,128,512,2048 --updates 8 # where a GPU is at hand
 
 Straightforward: every sample is read and converted by itself, the cross-convolution loops over the batch, and tensors
 are contiguous. Both augment, balance and turn alike, and compute the same loss of the same network.
@@ -35,6 +35,8 @@ from rema_data.augment import Augment
 from rema_data.loader.batch import StepBatch
 
 WANTED_RATIO, WANTED_WAIT = 2.0, 0.05
+"""On a CPU; a GPU is reported."""
+SATURATED = 0.9
 
 
 def looped(features: Tensor, kernels: Tensor) -> Tensor:
@@ -129,6 +131,14 @@ def measure(arguments: argparse.Namespace, batch_size: int, primitive: str) -> d
     return {"primitive": primitive, "batch": batch_size, "speeds": speeds, "waits": waits, "ratio": ratio}
 
 
+def saturation(found: list[dict[str, Any]], primitive: str) -> str:
+    """From which batch size on a larger one brings little."""
+    ours = {row["batch"]: median(row["speeds"]["ours"]) for row in found if row["primitive"] == primitive}
+    best = max(ours.values())
+    enough = min(size for size, speed in ours.items() if speed >= SATURATED * best)
+    return f"{primitive}: batches of {enough:,} reach {SATURATED:.0%} of the best speed, {best:,.0f} samples/s."
+
+
 def main() -> int:
     """Measure and print."""
     options = parser(__doc__)
@@ -139,11 +149,8 @@ def main() -> int:
     options.add_argument("--updates", type=int, default=20, help="of a turn (default 20)")
     options.add_argument("--repeats", type=int, default=3, help="turns of each way (default 3)")
     arguments = options.parse_args()
-    found = [
-        measure(arguments, int(size), primitive)
-        for size in arguments.batches.split(",")
-        for primitive in arguments.primitives.split(",")
-    ]
+    sizes, primitives = [int(size) for size in arguments.batches.split(",")], arguments.primitives.split(",")
+    found = [measure(arguments, size, primitive) for size in sizes for primitive in primitives]
     table = Table("primitive", "batch", "way", "samples/s", "each turn", "waiting for data", title="training")
     pick: Callable[[list[float]], float] = median
     for row in found:
@@ -152,13 +159,16 @@ def main() -> int:
             share = f"{pick(row['waits'][name]):.1%}"
             table.add_row(row["primitive"], str(row["batch"]), name, f"{pick(speeds):.1f}", each, share)
     targets = []
-    for row in found:
+    for row in found if arguments.device == "cpu" else ():
         what = f"{row['primitive']}, batches of {row['batch']}"
         wait = pick(row["waits"]["ours"])
         ratio = row["ratio"]
         targets.append(target(f"{what}: straightforward", ">= 2 times", f"{ratio:.1f}", ratio >= WANTED_RATIO))
         targets.append(target(f"{what}: waiting for data", "< 5%", f"{wait:.1%}", wait < WANTED_WAIT))
-    notes = [f"Device: {arguments.device}, {torch.get_num_threads()} threads; torch {torch.__version__}."]
+    name = torch.cuda.get_device_name(arguments.device) if arguments.device.startswith("cuda") else arguments.device
+    notes = [f"Device: {name}, {torch.get_num_threads()} threads; torch {torch.__version__}."]
+    if len(sizes) > 1:
+        notes += [saturation(found, primitive) for primitive in primitives]
     return finish(arguments, "train", [table], targets, notes, {"found": found})
 
 
