@@ -11,12 +11,12 @@ from scipy.stats import fisher_exact
 from baselines.rounds.recursion_plan import RecursionPlan
 from baselines.tae.checkpoint import load_checkpoint
 from benchmarks.results import ROOT
+from evaluator.leaderboard.published import published_rate
 from evaluator.statistics import percent
 from rema_data.release.folder import ReleaseFolder
 from rema_data.schema import TASKS
 from rema_data.statistics.paper import Comparison, Counts
 
-PUBLISHED = json.loads((ROOT / "manifests" / "published" / "table2.json").read_text())["success_percent"]
 PAPER_BY_ROUND = {1: 51.0, 2: 88.0}
 """Grasp, percent: the only rates after a round that the paper's text names (section 4.4)."""
 POLICIES = ("random", "scripted", "tae-separate", "tae-joint")
@@ -47,11 +47,9 @@ def rates_table(runs: Mapping[str, Summary], protocol: str) -> str:
         own = {task: runs.get(f"{policy}-{task}-{protocol}") for task in tasks}
         if any(own.values()):
             rows.append([policy, *("" if run is None else rate(run) for run in own.values())])
-            paper = PUBLISHED.get(policy.removeprefix("tae-"), {})
             if protocol == "conditional":
-                rows.append(
-                    ["*the paper's*", *(f"*{percent(paper[task] / 100)}*" if task in paper else "" for task in tasks)]
-                )
+                paper = [published_rate(policy, task) for task in tasks]
+                rows.append(["*the paper's*", *("" if share is None else f"*{percent(share)}*" for share in paper)])
     return markdown(["policy", *tasks], rows)
 
 

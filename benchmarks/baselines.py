@@ -28,7 +28,6 @@ from baselines.train.data import open_data
 from baselines.train.pictures import draw_maps
 from benchmarks.baseline_tables import (
     PAPER_BY_ROUND,
-    PUBLISHED,
     Summary,
     by_round,
     collected_table,
@@ -44,6 +43,7 @@ from benchmarks.baseline_tables import (
 from benchmarks.kept_runs import keep, kept_runs
 from benchmarks.report import measured
 from benchmarks.results import RESULTS, ROOT
+from evaluator.leaderboard.published import published_rate
 from rema_data.loader.release import load
 from rema_data.release.folder import find_release
 from rema_data.statistics.count import count
@@ -79,9 +79,9 @@ def draw_rounds(found: Mapping[str, Mapping[int, Summary]], plan: RecursionPlan,
         rates = [100 * run["success_rate"] for run in own.values()]
         errors = [[100 * abs(run["success_rate"] - run["ci95"][side]) for run in own.values()] for side in (0, 1)]
         axes.errorbar(list(own), rates, errors, marker="o", markersize=4, capsize=2, color=colour, label=task)
-        paper = {0: PUBLISHED["random"].get(task), len(plan.rounds): PUBLISHED["joint"].get(task)}
-        paper |= PAPER_BY_ROUND if task == "grasp" else {}
-        known = {place: value for place, value in paper.items() if value is not None}
+        paper = {0: published_rate("random", task), len(plan.rounds): published_rate("tae-joint", task)}
+        known = {place: 100 * share for place, share in paper.items() if share is not None}
+        known |= PAPER_BY_ROUND if task == "grasp" else {}
         axes.plot(list(known), list(known.values()), "x", color=colour, markersize=7, alpha=0.7)
     axes.plot([], [], "x", color="black", label="the paper's")
     axes.set_xticks(range(len(plan.rounds) + 1))

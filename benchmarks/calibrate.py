@@ -23,6 +23,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+from evaluator.leaderboard.published import published_rate
 from evaluator.sim.parameters import WORLD, WorldParameters, parameters_hash
 from evaluator.sim.reach import reachable
 from evaluator.sim.reference import prepare
@@ -31,13 +32,14 @@ from evaluator.sim.spawn import episode_generator
 from rema_data import grid
 from rema_data.schema import TASKS, Primitive
 
-PUBLISHED = {
-    "grasp": {"random": 5.53, "scripted": 72.77},
-    "push": {"random": 18.23, "scripted": 99.87},
-    "grasp_grasp": {"random": 1.77, "scripted": 23.47},
-    "grasp_push": {"random": 6.87, "scripted": 22.78},
-}
+PUBLISHED_TASKS = [task for task in TASKS if published_rate("random", task) is not None]
 ROOT_SEED = 20211201
+
+
+def published_percent(policy: str, task: str) -> float | None:
+    """The paper's rate, percent; None where it has none."""
+    share = published_rate(policy, task)
+    return None if share is None else 100 * share
 
 
 def count(job: tuple[str, range, WorldParameters]) -> dict[str, collections.Counter[str]]:
@@ -90,7 +92,7 @@ def measure(task: str, episodes: int, parameters: WorldParameters, pool: Any) ->
                 "rate": 100 * successes / eligible,
                 "low": 100 * interval.low,
                 "high": 100 * interval.high,
-                "published": PUBLISHED.get(task, {}).get(policy),
+                "published": published_percent(policy, task),
                 "outcomes": dict(sorted(((str(key), value) for key, value in counter.items()), key=lambda kv: -kv[1])),
                 "seconds": time.perf_counter() - started,
             }
@@ -114,7 +116,7 @@ def markdown(rows: list[dict[str, Any]]) -> str:
 def main() -> None:
     """Measure and print; ``--json`` also writes the rows to a file."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tasks", default=",".join(PUBLISHED))
+    parser.add_argument("--tasks", default=",".join(PUBLISHED_TASKS))
     parser.add_argument("--episodes", type=int, default=5000)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", dest="changes")

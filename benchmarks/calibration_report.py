@@ -17,9 +17,10 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks.calibrate import PUBLISHED, markdown
+from benchmarks.calibrate import PUBLISHED_TASKS, markdown, published_percent
 from benchmarks.kept_runs import keep, kept_runs
 from benchmarks.results import RESULTS, ROOT
+from rema_data.schema import TASKS
 
 PAGE = ROOT / "docs" / "calibration.md"
 
@@ -40,10 +41,10 @@ def runs_table(summaries: list[dict[str, Any]]) -> str:
         "| task | policy | k / n | ours, % | 95 % | paper, % | failures, % of episodes |",
         "|---|---|---|---|---|---|---|",
     ]
-    order = [*PUBLISHED, "grasp_grasp_push"]
+    order = list(TASKS)
     for run in sorted(summaries, key=lambda run: (order.index(run["task"]), run["policy"])):
         low, high = run["ci95"]
-        paper = PUBLISHED.get(run["task"], {}).get(run["policy"])
+        paper = published_percent(run["policy"], run["task"])
         labels = sorted(run["failures"].items(), key=lambda item: -item[1])
         failures = ", ".join(f"{label} {100 * count / run['eligible']:.1f}" for label, count in labels)
         lines.append(
@@ -56,7 +57,7 @@ def runs_table(summaries: list[dict[str, Any]]) -> str:
 
 def knobs_table(content: dict[str, Any]) -> str:
     """One row a changed constant: the difference that it makes, in points."""
-    columns = [f"{policy} {task}" for task in PUBLISHED for policy in ("random", "scripted")]
+    columns = [f"{policy} {task}" for task in PUBLISHED_TASKS for policy in ("random", "scripted")]
     base = content["lines"][0]["rates"]
     lines = ["| changed alone | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
     lines.append("| as calibrated, % | " + " | ".join(f"{base[column]:.1f}" for column in columns) + " |")

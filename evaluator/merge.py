@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock, Timeout
-
-from evaluator.evidence.header import LOCK_FILE, read_header
+from evaluator.evidence.header import read_header
+from evaluator.evidence.lock import locked
 from evaluator.records import ANSWERS, OUTCOMES, Journal, Ledger, Records, read_journal
 from evaluator.runner.audit import audit_summary, repeats
 from evaluator.runner.config import EvaluationResult
@@ -114,16 +113,8 @@ def _distinct(parts: Sequence[Path]) -> list[Path]:
 def _opened(path: Path) -> Iterator[_Part]:
     """A part that nobody is writing in meanwhile."""
     header, _ = read_header(path)
-    lock = FileLock(path / LOCK_FILE, timeout=0)
-    try:
-        with storage_errors(path):
-            lock.acquire()
-    except Timeout as error:
-        raise InputError(f"another process is writing in {path}", hint="wait for it", path=str(path)) from error
-    try:
+    with locked(path, "wait for it"):
         yield _Part(RunFolder(path, header))
-    finally:
-        lock.release()
 
 
 def _check_identity(parts: Sequence[_Part]) -> None:

@@ -17,7 +17,8 @@ import pyarrow.parquet as pq
 
 from evaluator.episodes import episodes_schema
 from evaluator.evidence.actions import NOT_ASKED, POLICY_ERROR, actions_of, decode_actions
-from evaluator.evidence.header import RUN_FILE, being_written, encode_header, read_header, resume_command
+from evaluator.evidence.header import RUN_FILE, encode_header, read_header, resume_command
+from evaluator.evidence.lock import being_written
 from evaluator.evidence.merkle import HASH_BYTES, merkle_root
 from evaluator.evidence.rows import row_leaves
 from evaluator.evidence.seal import (

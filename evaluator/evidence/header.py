@@ -8,17 +8,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock, Timeout
-
 from evaluator.policy.loading import BUILT_INS
 from rema_data.errors import IntegrityError, MissingFileError
 from rema_data.storage import storage_errors
 
 __all__ = [
-    "LOCK_FILE",
     "RUN_FILE",
     "RUN_FORMAT",
-    "being_written",
     "encode_header",
     "isolation_level",
     "read_header",
@@ -26,8 +22,6 @@ __all__ = [
 ]
 
 RUN_FILE = "run.json"
-LOCK_FILE = ".lock"
-"""Held by the process that writes in a run folder."""
 RUN_FORMAT = 1
 _FIELDS = {"format": int, "identity": dict, "policy": dict, "episodes": int, "salt": str, "segments": list}
 _OPTIONAL = {"seal": dict}
@@ -74,19 +68,6 @@ def read_header(folder: Path) -> tuple[dict[str, Any], bytes]:
             path=str(path),
         )
     return header, payload
-
-
-def being_written(folder: Path) -> bool:
-    """Whether a process is writing in a run folder at this moment, as far as this process may ask."""
-    if not (folder / LOCK_FILE).exists():
-        return False
-    try:
-        with FileLock(folder / LOCK_FILE, timeout=0):
-            return False
-    except Timeout:
-        return True
-    except OSError:
-        return False
 
 
 def isolation_level(header: Mapping[str, Any]) -> str | None:

@@ -9,9 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock, Timeout
-
-from evaluator.evidence.header import LOCK_FILE, RUN_FILE, RUN_FORMAT, encode_header, read_header
+from evaluator.evidence.header import RUN_FILE, RUN_FORMAT, encode_header, read_header
+from evaluator.evidence.lock import locked
 from evaluator.evidence.seal import ACTIONS_FILE, EPISODES_FILE, LEAVES_FILE, SUMMARY_FILE, changed_parts, make_seal
 from evaluator.evidence.signature import SIGNATURE_FILE
 from evaluator.runner.environment import environment
@@ -85,23 +84,12 @@ class RunFolder:
         """
         with storage_errors(path):
             path.mkdir(parents=True, exist_ok=True)
-            lock = FileLock(path / LOCK_FILE, timeout=0)
-            try:
-                lock.acquire()
-            except Timeout as error:
-                raise InputError(
-                    f"another process is writing in {path}",
-                    hint="wait for it, or choose another folder with --output",
-                    path=str(path),
-                ) from error
-        try:
+        with locked(path, "wait for it, or choose another folder with --output"):
             _sweep(path)
             folder = RunFolder(path, _header(path, identity))
             folder._check(identity, episodes)
             folder.save()
             yield folder
-        finally:
-            lock.release()
 
     def _check(self, identity: Mapping[str, Any], episodes: int) -> None:
         wanted = json.loads(json.dumps(dict(identity)))

@@ -19,7 +19,6 @@ from filelock import FileLock
 
 from evaluator.evidence.actions import POLICY_ERROR, decode_actions
 from evaluator.evidence.check import read_evidence
-from evaluator.evidence.header import LOCK_FILE
 from evaluator.replay import ReplayReport, replay, sign
 from evaluator.runner import run_evaluation
 from evaluator.runner.tally import tally
@@ -231,7 +230,7 @@ def test_an_interrupted_run_names_the_command_that_goes_on(home: Path, tmp_path:
         play(tmp_path / "run")
     assert "rema evaluate fake.py:Policy --task grasp" in caught.value.hint
     with (
-        FileLock(tmp_path / "run" / LOCK_FILE),
+        FileLock(tmp_path / "run" / ".lock"),
         pytest.raises(MissingFileError, match="a process is writing in it"),
     ):
         play(tmp_path / "run")
