@@ -23,7 +23,7 @@ from evaluator.statistics import (
 from evaluator.strata import Targets, strata, targets_of_list, targets_of_run
 from rema_data.errors import InputError, MissingFileError
 
-__all__ = ["Comparison", "StratumRow", "check_comparable", "compare", "paired_outcomes"]
+__all__ = ["Comparison", "StratumRow", "compare", "paired_outcomes"]
 
 _MUST_AGREE = ("task", "split", "protocol")
 _MARKS = ("protocol_hash", "scenarios_hash")
@@ -158,7 +158,7 @@ def compare(a: ScoredRun, b: ScoredRun) -> Comparison:
     MissingFileError
         A run has no ``episodes.parquet``.
     """
-    check_comparable(a, b)
+    _check_comparable(a, b)
     ours, theirs = paired_outcomes(a), paired_outcomes(b)
     n = min(len(ours.success), len(theirs.success))
     counted = ours.eligible[:n] & theirs.eligible[:n]
@@ -181,7 +181,7 @@ def compare(a: ScoredRun, b: ScoredRun) -> Comparison:
     )
 
 
-def check_comparable(a: ScoredRun, b: ScoredRun) -> None:
+def _check_comparable(a: ScoredRun, b: ScoredRun) -> None:
     """Refuse runs that do not compare.
 
     Raises

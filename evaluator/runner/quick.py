@@ -13,10 +13,10 @@ from typing import Any
 
 import pyarrow as pa
 
-from evaluator.comparison import check_comparable, paired_outcomes
+from evaluator.comparison import paired_outcomes
 from evaluator.evidence.header import RUN_FILE, read_header
 from evaluator.evidence.seal import SUMMARY_FILE
-from evaluator.runner.backend import Backend
+from evaluator.runner.backend import Backend, default_backend
 from evaluator.runner.config import EvaluationConfig, EvaluationResult, ProgressSink
 from evaluator.runner.run import run_evaluation
 from evaluator.scenarios import load_list
@@ -56,13 +56,14 @@ def quick_evaluation(
     Raises
     ------
     InputError
-        The other run does not compare: it is of another task, split, protocol or scenario list. Or the folder holds
-        a run to the end, which a look would take its rank.
+        The other run does not compare: it is of another task, split, protocol, version of the protocol, or scenario
+        list. Or the folder holds a run to the end, which a look would take its rank.
     MissingFileError
         The other run has no outcomes.
     RemaError
         As ``run_evaluation``.
     """
+    backend = backend or default_backend()
     reference = read_run(against)
     theirs = paired_outcomes(reference)
 
@@ -74,7 +75,7 @@ def quick_evaluation(
                 break
         return {"against": reference.policy, **test.result().to_dict()}
 
-    _check_reference(reference, config)
+    _check_reference(reference, config, backend)
     recorded = read_header(config.output)[0]["episodes"] if (config.output / RUN_FILE).exists() else 0
     if (config.output / SUMMARY_FILE).exists() and not read_run(config.output).stopped_early:
         raise InputError(
@@ -86,20 +87,26 @@ def quick_evaluation(
         result = run_evaluation(
             replace(config, episodes=episodes, audit_share=0.0), progress, backend=backend, look=look
         )
-        check_comparable(read_run(result.folder), reference)
         if result.summary["stopped_early"]["decided_at"] is not None:
             break
     return result
 
 
-def _check_reference(reference: ScoredRun, config: EvaluationConfig) -> None:
+def _check_reference(reference: ScoredRun, config: EvaluationConfig, backend: Backend) -> None:
     """Raise before anything is played where the two runs will not compare."""
     listed = load_list(config.task, config.split)
-    mine = {"task": config.task, "split": config.split, "protocol": config.protocol, "scenarios_hash": listed.sha256}
+    mine = {
+        "task": config.task,
+        "split": config.split,
+        "protocol": config.protocol,
+        "protocol_hash": backend.protocol_hash(config.task, config.protocol),
+        "scenarios_hash": listed.sha256,
+    }
     theirs = {
         "task": reference.task,
         "split": reference.split,
         "protocol": reference.protocol,
+        "protocol_hash": reference.marks.protocol_hash,
         "scenarios_hash": reference.marks.scenarios_hash,
     }
     for field, value in mine.items():
@@ -107,7 +114,7 @@ def _check_reference(reference: ScoredRun, config: EvaluationConfig) -> None:
             raise InputError(
                 f"{reference.source} does not compare: its {field} is {theirs[field] or 'not recorded'}, "
                 f"here it is {value}",
-                hint="give a run of the same task, split and protocol, made with this version's scenario lists",
+                hint="give a run of the same task, split and protocol, made with this version",
                 field=field,
             )
 

@@ -66,6 +66,13 @@ def test_runs_that_do_not_compare_are_refused(tmp_path: Path, reference: Path) -
     with pytest.raises(InputError, match="task is"):
         look(tmp_path / "long", reference, FakeSimulator, task="grasp_grasp_push")
     assert not (tmp_path / "long").exists()  # it is known before anything is played
+    summary = reference / "summary.json"
+    content = summary.read_text()
+    summary.write_text(json.dumps({**json.loads(content), "protocol_hash": "of an earlier version"}))
+    with pytest.raises(InputError, match="protocol_hash is of an earlier version, here it is"):
+        look(tmp_path / "earlier", reference, FakeSimulator)
+    assert not (tmp_path / "earlier").exists()
+    summary.write_text(content)
     (reference / "episodes.parquet").unlink()
     with pytest.raises(MissingFileError):
         look(tmp_path / "other", reference, FakeSimulator)
