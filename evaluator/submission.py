@@ -39,7 +39,7 @@ _RANKING = (
 )
 _DIGESTS = ("policy_digest", "protocol_hash", "scenarios_hash")
 _SHA256 = re.compile(r"[0-9a-f]{64}")
-_VERSIONS = ("rema", "python", "numpy", "pybullet", "torch")
+_VERSIONS = ("rema", "python", "numpy", "pybullet", "torch", "openvino")
 _TOLERANCE = 1e-9
 _SHOWN = 200
 
@@ -197,6 +197,6 @@ def _provenance(header: Mapping[str, Any]) -> dict[str, Any]:
     versions, machine = _part(last, "versions"), _part(last, "machine")
     found = {name: versions.get(name) for name in _VERSIONS}
     found |= {name: machine.get(name) for name in ("system", "architecture", "processor")}
-    found |= {name: last.get(name) for name in ("commit", "dirty", "engine")}
+    found |= {name: last.get(name) for name in ("commit", "dirty", "engine", "device")}
     found |= {"isolation": isolation_level(header), "segments": len(segments)}
     return {name: value if isinstance(value, str | int) else None for name, value in found.items()}

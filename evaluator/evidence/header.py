@@ -78,7 +78,7 @@ def isolation_level(header: Mapping[str, Any]) -> str | None:
 
 
 def resume_command(header: dict[str, Any], folder: Path) -> str:
-    """The ``rema evaluate`` that made a run, as far as ``run.json`` tells: without its checkpoint and device."""
+    """The ``rema evaluate`` that made a run, as far as ``run.json`` tells: without its checkpoint."""
     policy, identity = header["policy"], header["identity"]
     name = policy.get("name")
     if name not in BUILT_INS:
@@ -87,5 +87,7 @@ def resume_command(header: dict[str, Any], folder: Path) -> str:
     for option in ("task", "protocol", "split"):
         if option in identity:
             words += [f"--{option}", str(identity[option])]
+    devices = {segment["device"] for segment in header["segments"] if isinstance(segment.get("device"), str)}
+    words += [word for device in sorted(devices)[:1] for word in ("--device", device)]
     words += ["--episodes", str(header["episodes"]), "--output", str(folder)]
     return shlex.join(words)

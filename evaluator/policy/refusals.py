@@ -14,6 +14,7 @@ __all__ = ["Refusal", "conversion_command", "printable", "refusal_hint"]
 _SHOWN = 2000  # characters
 _UNPICKLING = "_pickle.UnpicklingError"
 _DENIED = "builtins.PermissionError"
+_OWN = "rema_data.errors.RemaError"
 _PICKLES = (".pt", ".pth", ".ckpt", ".pkl", ".bin")
 _FILES = 5
 """So many pickles of a folder are named."""
@@ -62,6 +63,11 @@ class Refusal:
     where: str = ""
     trace: str = ""
     kinds: tuple[str, ...] = ()
+
+    @property
+    def mended_by_its_message(self) -> bool:
+        """Whether an error of rema's own was raised, whose last line says what to do."""
+        return _OWN in self.kinds
 
     @staticmethod
     def of(header: dict[str, Any]) -> Refusal:

@@ -15,7 +15,7 @@ from evaluator.policy.faults import FaultReason, PolicyFault
 from evaluator.policy.interface import ObservationBatch
 from evaluator.policy.isolation import Isolation, isolation_of
 from evaluator.policy.limits import PolicyLimits
-from evaluator.policy.loading import PolicySpec, check_checkpoint
+from evaluator.policy.loading import BUILT_INS, PolicySpec, check_checkpoint
 from evaluator.policy.output import CappedOutput
 from evaluator.policy.process import ChildDeath, ChildGreed, ChildNoise, ChildProcess, ChildTimeout
 from evaluator.policy.refusals import Refusal, printable, refusal_hint
@@ -254,6 +254,9 @@ class PolicySession:
 
     def _refusal(self, refusal: Refusal) -> SubmissionError:
         self._drop()
+        if self.spec.name in BUILT_INS and refusal.mended_by_its_message:
+            # Its code is rema's, and needs no mending: its checkpoint does.
+            return SubmissionError(f"policy {self.spec.name} cannot be used: {refusal.message}", path=self.spec.path)
         where = refusal.where
         hint = refusal_hint(
             refusal, where or str(self.spec.path), self._output.text(), self._isolation, self._checkpoint

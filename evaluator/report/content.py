@@ -33,7 +33,18 @@ __all__ = [
     "timings",
 ]
 
-_SEGMENT_COLUMNS = ("part", "began", "episodes", "engine", "workers", "seconds", "processor", "versions", "commit")
+_SEGMENT_COLUMNS = (
+    "part",
+    "began",
+    "episodes",
+    "engine",
+    "workers",
+    "device",
+    "seconds",
+    "processor",
+    "versions",
+    "commit",
+)
 _UNKNOWN = "not recorded"
 
 
@@ -242,6 +253,7 @@ def segments(run: FinishedRun) -> Mapping[str, Any]:
                 f"{part['finished']:,}" if "finished" in part else "stopped",
                 str(part.get("engine", _UNKNOWN)),
                 str(part.get("workers", _UNKNOWN)),
+                str(part.get("device", _UNKNOWN)),
                 _time(seconds["total"]) if "total" in seconds else _UNKNOWN,
                 f"{machine.get('processor', _UNKNOWN)}, {machine.get('cores', '?')} cores, "
                 f"{machine.get('system', '')} {machine.get('architecture', '')}",

@@ -17,7 +17,7 @@ from typing import Any
 
 __all__ = ["environment", "source_digest"]
 
-_PACKAGES = ("rema", "numpy", "pybullet", "torch", "pyarrow", "scipy")
+_PACKAGES = ("rema", "numpy", "pybullet", "torch", "openvino", "pyarrow", "scipy")
 _OWN = ("rema_data", "evaluator", "baselines")
 _NOTE = "_commit.json"
 """Written by hatch_build.py."""

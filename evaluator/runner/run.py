@@ -243,7 +243,8 @@ class _Run:
         if isolation is not None and str(isolation) != self._walls_told:
             self._walls_told = str(isolation)  # it is started more than once
             self.progress.note(f"policy isolation {isolation}")
-        self.folder.note_segment(isolation=None if isolation is None else isolation.to_dict())
+        walls = None if isolation is None else isolation.to_dict()
+        self.folder.note_segment(isolation=walls, device=self.config.device)
 
     def _audit(self) -> dict[str, Any]:
         """Repeat what was not repeated yet, and compare."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -40,17 +41,33 @@ class Quiet:
         self.stages.append(stage)
 
 
+def command(*words: str) -> list[str]:
+    return [sys.executable, "-m", "evaluator.cli", *words]
+
+
+def own_home(cwd: Path) -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(ROOT), "REMA_HOME": str(cwd / "home")}
+
+
 def rema(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "REMA_HOME": str(cwd / "home")}
-    command = [sys.executable, "-m", "evaluator.cli", *words]
-    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=400)
+    return subprocess.run(command(*words), cwd=cwd, env=own_home(cwd), capture_output=True, text=True, timeout=400)
+
+
+def killed_after(stages: int, *words: str, cwd: Path) -> None:
+    """Run a command that prints a line for every stage, and kill it without warning once so many are done."""
+    with subprocess.Popen(command(*words), cwd=cwd, env=own_home(cwd), stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            stages -= "done in" in line
+            if stages == 0:
+                break
+        process.send_signal(signal.SIGKILL)
+    assert process.returncode == -signal.SIGKILL and stages == 0
 
 
 def test_all_four_rounds_from_the_command_line(tmp_path: Path) -> None:
-    """The example as a user runs it, in two runs; then its product is scored."""
-    first = rema("rounds", str(TINY), "--output", "out", "--stages", "3", cwd=tmp_path)
-    assert first.returncode == 0, first.stderr
-    assert first.stdout.count("done in") == 3
+    """The example as a user runs it, killed in the middle and run again; then its product is scored."""
+    killed_after(3, "rounds", str(TINY), "--output", "out", cwd=tmp_path)
     sealed = tree(tmp_path / "out" / "tiny-recursion-round-1")
     done = rema("rounds", str(TINY), "--output", "out", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import shlex
+import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -41,6 +43,43 @@ def test_the_learned_baseline_with_torch(networks: Path) -> None:
     batch = make_batch(2)
     with PolicyHost(resolve("tae"), networks, "cpu", PATIENT) as host:
         assert host.act(batch) == TaePolicy(networks, "cpu").act(batch).tolist()
+
+
+def _truncated(folder: Path) -> None:
+    weights = folder / "grasp.safetensors"
+    weights.write_bytes(weights.read_bytes()[:-1])
+
+
+def _of_another_architecture(folder: Path) -> None:
+    card = folder / "grasp.json"
+    card.write_text(card.read_text().replace('"width": 8', '"width": 16'))
+
+
+def _pickled(folder: Path) -> None:
+    for path in folder.iterdir():
+        path.unlink()
+    (folder / "grasp.pt").write_bytes(b"")
+
+
+@pytest.mark.parametrize(
+    ("damage", "said", "mends"),
+    [
+        (_truncated, "truncated, damaged", "rema train"),
+        (_of_another_architecture, "another architecture", "rema train"),
+        (_pickled, "no checkpoint in", "rema train"),
+    ],
+)
+def test_a_checkpoint_that_cannot_be_used(
+    networks: Path, tmp_path: Path, damage: Callable[[Path], None], said: str, mends: str
+) -> None:
+    """What is to be mended is the checkpoint, and not the code of the built-in policy."""
+    shutil.copytree(networks, tmp_path / "networks")
+    damage(tmp_path / "networks")
+    with pytest.raises(SubmissionError) as caught, PolicyHost(resolve("tae"), tmp_path / "networks", "cpu", PATIENT):
+        pass
+    text = str(caught.value)
+    assert said in text and str(tmp_path / "networks") in text and mends in text.splitlines()[-1]
+    assert ".py" not in text
 
 
 @pytest.mark.skipif(find_spec("openvino") is None, reason="OpenVINO is not installed")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -91,8 +93,20 @@ def test_no_manifest_no_networks(networks: Path, tmp_path: Path) -> None:
 
 def test_the_published_networks_are_whole() -> None:
     """What this repository names is in it, to the byte."""
+    assert shipped_policies().keys() == {"tae-joint", "tae-separate"}
     for policy in shipped_policies():
         folder = shipped_checkpoint(policy)
         assert folder is not None
         for card in folder.glob("*.json"):
             assert json.loads(card.read_text())["format"].startswith("rema tae checkpoint")
+
+
+@pytest.mark.parametrize("policy", ["tae-joint", "tae-separate"])
+def test_the_published_networks_play(policy: str, tmp_path: Path) -> None:
+    """With nothing but a name, as the README has it."""
+    command = [sys.executable, "-m", "evaluator.cli", "evaluate", policy, "--task", "grasp_push", "--json"]
+    command += ["--episodes", "4", "--workers", "1", "--output", str(tmp_path / "run")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert summary["episodes"] == 4 and summary["policy_errors"] == 0 and summary["successes"] > 0

@@ -129,7 +129,7 @@ def test_conditional_summary(fake_home: Path) -> None:
     header = json.loads((fake_home / "run" / "run.json").read_text())
     segment = header["segments"][0]
     assert segment["finished"] == 200 and header["policy"]["privileged"] is False
-    assert {"commit", "dirty", "machine", "versions", "isolation"} <= segment.keys()
+    assert {"commit", "dirty", "machine", "versions", "isolation"} <= segment.keys() and segment["device"] == "cpu"
     assert {name: len(digest) for name, digest in segment["packages"].items()} == dict.fromkeys(
         ("rema_data", "evaluator", "baselines"), 64
     )
