@@ -87,13 +87,20 @@ def collected_table(release: ReleaseFolder) -> str:
     return markdown(["round", "task", "policy of every step", "episodes (train)", "succeeded"], rows)
 
 
-def rounds_table(found: Mapping[str, Mapping[int, Summary]]) -> str:
+def paper_by_round(task: str, last: int) -> dict[int, float]:
+    """The paper's rates, percent, by round: 0 is its random policy, ``last`` its joint one."""
+    ends = {0: published_rate("random", task), last: published_rate("tae-joint", task)}
+    known = {number: 100 * share for number, share in ends.items() if share is not None}
+    return known | (PAPER_BY_ROUND if task == "grasp" else {})
+
+
+def rounds_table(found: Mapping[str, Mapping[int, Summary]], last: int) -> str:
     """Rates by round, one row a task."""
     rows = []
     for task, own in found.items():
+        paper = paper_by_round(task, last)
         for number, run in own.items():
-            paper = PAPER_BY_ROUND.get(number) if task == "grasp" else None
-            shown = "" if paper is None else f"{paper:.0f}"
+            shown = f"{paper[number]:g}" if number in paper else ""
             rows.append([task, str(number), f"{run['successes']:,} / {run['eligible']:,}", rate(run), shown])
     return markdown(["task", "after round", "k / n", "ours, % [95 %]", "paper, %"], rows)
 
