@@ -3,8 +3,10 @@
     python benchmarks/train.py                                         # rema-mini, batches of 8
     python benchmarks/train.py --device cuda --batches 8,32,128,512,2048 --updates 8 # where a GPU is at hand
 
+    python benchmarks/train.py --tried                                 # other ways to be faster, too
+
 Straightforward: every sample is read and converted by itself, the cross-convolution loops over the batch, and tensors
-are contiguous. Both augment, balance and turn alike, and compute the same loss of the same network.
+are contiguous. All augment, balance and turn alike, and compute the same loss of the same network.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ import torch
 from rich.table import Table
 from torch import Tensor
 from torch.nn import functional
+from torch.profiler import ProfilerActivity, profile
 
 import rema_data
 from baselines.tae import network as tae
@@ -37,6 +40,9 @@ from rema_data.loader.batch import StepBatch
 WANTED_RATIO, WANTED_WAIT = 2.0, 0.05
 """On a CPU; a GPU is reported."""
 SATURATED = 0.9
+PROFILED = 4
+"""Updates whose convolutions are timed."""
+TRIED = {"ours, in bfloat16": {"half": True}, "ours, torch.compile": {"compiled": True}}
 
 
 def looped(features: Tensor, kernels: Tensor) -> Tensor:
@@ -57,12 +63,23 @@ class Turn:
     device : torch.device
     plain : bool
         The straightforward way.
+    half, compiled : bool
+        In bfloat16; through torch.compile.
     """
 
-    def __init__(self, data: TrainingData, device: torch.device, plain: bool) -> None:
-        self.data, self.device, self.plain = data, device, plain
+    def __init__(
+        self,
+        data: TrainingData,
+        device: torch.device,
+        *,
+        plain: bool = False,
+        half: bool = False,
+        compiled: bool = False,
+    ) -> None:
+        self.data, self.device, self.plain, self.half = data, device, plain, half
         self.network = TaeNetwork(generator=torch.Generator().manual_seed(0)).train()
         self.network = self.network.to(device) if plain else self.network.placed(device)
+        self.forward = torch.compile(self.network) if compiled else self.network
         self.optimiser = torch.optim.Adam(self.network.parameters(), lr=1e-4)
         self.random = torch.Generator().manual_seed(1)
         self.augment = Augment(data.train)
@@ -97,7 +114,9 @@ class Turn:
             tae.cross_convolve = grouped
 
     def step(self, samples: Samples) -> None:
-        pair = pixel_logits(self.network(samples.scene, samples.end_effector), samples.pixel)
+        with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self.half):
+            logits = self.forward(samples.scene, samples.end_effector)
+        pair = pixel_logits(logits.float(), samples.pixel)
         loss = functional.cross_entropy(pair, samples.success.long())
         self.optimiser.zero_grad()
         torch.autograd.backward(loss)
@@ -115,9 +134,9 @@ def measure(arguments: argparse.Namespace, batch_size: int, primitive: str) -> d
     """Samples a second of both ways at one batch size, in turns; the first turn is not counted."""
     tasks = ("grasp", "grasp_grasp", "grasp_push") if primitive == "grasp" else ("push", "grasp_push")
     config = TrainingConfig(primitive, tasks, batch_size=batch_size)
-    data = [open_data(rema_data.load(arguments.release), config) for _ in range(2)]
-    device = torch.device(arguments.device)
-    turns = {"ours": Turn(data[0], device, plain=False), "straightforward": Turn(data[1], device, plain=True)}
+    release, device = rema_data.load(arguments.release), torch.device(arguments.device)
+    ways = {"ours": {}, "straightforward": {"plain": True}, **(TRIED if arguments.tried else {})}
+    turns = {name: Turn(open_data(release, config), device, **way) for name, way in ways.items()}
     speeds: dict[str, list[float]] = {name: [] for name in turns}
     waits: dict[str, list[float]] = {name: [] for name in turns}
     for number in range(arguments.repeats + 1):
@@ -127,8 +146,25 @@ def measure(arguments: argparse.Namespace, batch_size: int, primitive: str) -> d
             if number:
                 speeds[name].append(turn.samples / turn.took)
                 waits[name].append(turn.waited / turn.took)
-    ratio = median(ours / theirs for ours, theirs in zip(*speeds.values(), strict=True))
-    return {"primitive": primitive, "batch": batch_size, "speeds": speeds, "waits": waits, "ratio": ratio}
+    pairs = zip(speeds["ours"], speeds["straightforward"], strict=True)
+    ratio = median(ours / theirs for ours, theirs in pairs)
+    return {
+        "primitive": primitive,
+        "batch": batch_size,
+        "speeds": speeds,
+        "waits": waits,
+        "ratio": ratio,
+        "convolutions": convolutions(turns["ours"]),
+    }
+
+
+def convolutions(turn: Turn) -> float:
+    """Share of the processor's time of some updates that is spent in convolutions, which no way does without."""
+    with profile(activities=[ProfilerActivity.CPU]) as watched:
+        turn.run(PROFILED)
+    events = watched.key_averages()
+    total = sum(event.self_cpu_time_total for event in events)
+    return float(sum(event.self_cpu_time_total for event in events if "convolution" in event.key) / total)
 
 
 def saturation(found: list[dict[str, Any]], primitive: str) -> str:
@@ -146,6 +182,7 @@ def main() -> int:
     options.add_argument("--device", default="cpu")
     options.add_argument("--batches", default="8", help="batch sizes (default 8)")
     options.add_argument("--primitives", default="grasp,push")
+    options.add_argument("--tried", action="store_true", help="also what was tried and not taken")
     options.add_argument("--updates", type=int, default=20, help="of a turn (default 20)")
     options.add_argument("--repeats", type=int, default=3, help="turns of each way (default 3)")
     arguments = options.parse_args()
@@ -167,6 +204,9 @@ def main() -> int:
         targets.append(target(f"{what}: waiting for data", "< 5%", f"{wait:.1%}", wait < WANTED_WAIT))
     name = torch.cuda.get_device_name(arguments.device) if arguments.device.startswith("cuda") else arguments.device
     notes = [f"Device: {name}, {torch.get_num_threads()} threads; torch {torch.__version__}."]
+    if arguments.device == "cpu":
+        shares = ", ".join(f"{row['convolutions']:.0%} ({row['primitive']})" for row in found)
+        notes.append(f"Convolutions take {shares} of the time of ours; both ways do all of them.")
     if len(sizes) > 1:
         notes += [saturation(found, primitive) for primitive in primitives]
     return finish(arguments, "train", [table], targets, notes, {"found": found})

@@ -152,6 +152,12 @@ def test_the_published_plans_can_be_carried_out() -> None:
         assert set(plan.policies) == {"tae-joint", "tae-separate"}
 
 
+def test_the_papers_plan_has_the_papers_size() -> None:
+    small, whole = (load_recursion(ROOT / "manifests" / "plans" / f"rema-v{n}.toml") for n in (0, 1))
+    made = [one.collection for one in (*small.rounds[:2], *whole.rounds) if one.collection is not None]
+    assert sum(sum(one["episodes"].values()) * len(one["tasks"]) for one in made) == 108_000
+
+
 def test_networks_that_ship_are_asked_for_where_a_plan_names_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -19,7 +19,7 @@ from rema_data.loader.batch import StepBatch
 from rema_data.release.seal import Description, seal
 from rema_data.schema import Episode, Situation
 from rema_data.store.block import BlockKey, BlockWriter, encode_episodes
-from rema_data.testing import FINGERPRINT, make_release, synthetic_episode
+from rema_data.testing import FINGERPRINT, make_block, make_release, synthetic_episode
 
 
 def test_tool_picks_are_grasps(release: rema_data.Release, config: TrainingConfig) -> None:
@@ -76,6 +76,20 @@ def test_a_skill_without_a_success(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="no success") as caught:
             open_data(release, TrainingConfig("grasp", ("grasp",), on_empty=on_empty))  # type: ignore[arg-type]
         assert "collect more" in caught.value.hint
+
+
+def test_one_skill_of_two_without_a_success(tmp_path: Path) -> None:
+    """It is named; with ``renormalise`` the other one is trained on."""
+    keys = [BlockKey(1, task, split) for task in ("push", "grasp_push") for split in ("train", "val")]
+    for key in keys:
+        make_block(tmp_path / "staging" / key.path, key, 20, 0, 0.5 if key.task == "push" else 0.0)
+    about = Description("half", "Half", "Synthetic.", "CC-BY-4.0", "The rema authors")
+    made = seal(tmp_path / "staging", tmp_path, about, keys, fingerprint=FINGERPRINT)
+    release = rema_data.Release(made, cache="memory")
+    with pytest.raises(InputError, match="no success of the skill grasp_push"):
+        open_data(release, TrainingConfig("push", ("push", "grasp_push")))
+    data = open_data(release, TrainingConfig("push", ("push", "grasp_push"), on_empty="renormalise"))
+    assert len(next(iter(data.sampler))) == 8
 
 
 def test_a_scenario_that_is_tested_is_never_trained_on(tmp_path: Path) -> None:

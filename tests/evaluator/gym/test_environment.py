@@ -75,7 +75,10 @@ def evaluated(task: str, protocol: str, folder: Path, episodes: int = 6) -> list
     return rows
 
 
-@pytest.mark.parametrize(("task", "protocol"), [("grasp_push", "conditional"), ("grasp_grasp_push", "end-to-end")])
+@pytest.mark.parametrize(
+    ("task", "protocol"),
+    [*((task, "conditional") for task in TASKS if task != "grasp_grasp_push"), ("grasp_grasp_push", "end-to-end")],
+)
 def test_an_episode_is_that_of_an_evaluation(
     task: str, protocol: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ import pytest
 from evaluator.policy import Answer, PolicyFault, PolicyHost, PolicyLimits, PolicySpec, resolve
 from evaluator.policy.wire import batch_frame
 from rema_data import grid
-from rema_data.errors import SubmissionError
+from rema_data.errors import PolicyFailureError, SubmissionError
 from tests.evaluator.fakes import fake_backend, fake_config
 from tests.evaluator.policy import hostile
 from tests.evaluator.policy.batches import make_batch, make_situation
@@ -206,6 +207,20 @@ def test_a_run_survives_and_counts(fake_home: Path, monkeypatch: pytest.MonkeyPa
     assert summary["episodes"] == summary["eligible"] == 64
     assert 0 < summary["policy_errors"] <= 6
     assert summary["infra_errors"] == 0
+
+
+@pytest.mark.parametrize("name", ["FillsDisk", "Allocates", "Dawdles"])
+def test_a_run_of_nothing_but_faults_ends_with_each_counted(name: str, fake_home: Path) -> None:
+    """Full disk, no memory, no answer: the run says so and stops, and what it recorded is there."""
+    from evaluator.runner import run_evaluation
+
+    limits = replace(SMALL, batch_s=0.2, single_s=0.2) if name == "Dawdles" else SMALL
+    backend = fake_backend(open_policy=lambda *given: PolicyHost(policy(name), None, "cpu", limits))
+    config = fake_config(fake_home / "run", episodes=3, batch_size=1, engine="inline")
+    with pytest.raises(PolicyFailureError, match="failed on 3 of 3"):
+        run_evaluation(config, backend=backend)
+    summary = json.loads((fake_home / "run" / "summary.json").read_text())
+    assert summary["eligible"] == summary["policy_errors"] == 3 and summary["infra_errors"] == 0
 
 
 def test_the_judge_reads_neither_code_nor_weights() -> None:

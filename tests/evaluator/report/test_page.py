@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import json
 import re
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from evaluator.report import ReportOptions, WrittenReport, write_report
 from evaluator.report.finished import read_finished
@@ -70,6 +73,32 @@ def test_every_label_has_a_card_and_every_picture_says_what_it_is(push_run: Path
     for picture in pictures:
         assert picture["alt"] and picture["width"] and picture["height"]
     assert len({picture["src"] for picture in pictures}) == len(pictures)
+
+
+def test_every_part_of_the_page_is_there(push_run: Path, page: Page) -> None:
+    """Breakdowns that divide all episodes, maps of places, where the time went, and who computed it."""
+    summary = json.loads((push_run / "summary.json").read_text())
+    for words in ("shape", "yaw", "length", "before", "after", "with the chosen action", "animation"):
+        assert words in page.text.lower() or any(words in str(one["alt"]).lower() for one in page.all("img")), words
+    for phase in ("observe", "infer", "simulate"):
+        assert re.search(rf"{phase}\D{{1,40}}\d", page.text), phase
+    segment = json.loads((push_run / "run.json").read_text())["segments"][0]
+    for fact in (
+        segment["machine"]["processor"],
+        f"pybullet {segment['versions']['pybullet']}",
+        summary["merkle_root"],
+    ):
+        assert fact in page.text
+
+
+def test_animations_move(page: Page) -> None:
+    moving = []
+    for picture in page.all("img"):
+        data = base64.b64decode(str(picture["src"]).partition("base64,")[2])
+        with Image.open(io.BytesIO(data)) as image:
+            image.load()
+            moving.append(getattr(image, "n_frames", 1))
+    assert sorted(set(moving))[0] == 1 and sum(frames > 1 for frames in moving) >= 3
 
 
 def test_real_episodes_come_out_as_recorded(push_run: Path, push_report: WrittenReport) -> None:
