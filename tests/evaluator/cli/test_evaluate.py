@@ -108,6 +108,31 @@ def test_the_funnel_of_an_end_to_end_run(recorder: Recorder) -> None:
     assert "600 of 1,000 that reached it, 60.0 %" in result.stdout
 
 
+def test_what_there_is_to_trust_a_result_is_shown(recorder: Recorder) -> None:
+    audit = {"actions": 100, "action_flips": 3, "action_flips_ci95": [0.006, 0.085]}
+    audit |= {"outcomes": 100, "outcome_flips": 0, "outcome_flips_ci95": [0.0, 0.036], "lost": 2}
+    look = {"verdict": "better", "against": "scripted", "pairs": 200, "difference_interval": [0.02, 0.31]}
+    recorder.summary = make_summary(isolation="L2", audit=audit, stopped_early=look, unfinished=5)
+    shown = " ".join(rema("evaluate", "random", "--task", "grasp").stdout.split())
+    for words in (
+        "isolation L2",
+        "3 of 100 actions came out otherwise (at most 8.5 %)",
+        "0 of 100 outcomes came out otherwise (at most 3.6 %)",
+        "2 could not be repeated",
+        "better than scripted on 200 scenarios: the difference is in +2.0 .. +31.0 points",
+        "no rank",
+        "5 episodes: this run is partial",
+    ):
+        assert words in shown, words
+
+
+def test_a_part_of_a_run_behind_a_wrapper(recorder: Recorder) -> None:
+    result = rema("evaluate", "random", "--task", "grasp", "--shard", "2/5", "--sandbox", "env A=1", "--output", "part")
+    assert result.exit_code == 0, result.stderr
+    assert recorder.config is not None and str(recorder.config.shard) == "2/5"
+    assert recorder.config.sandbox == "env A=1"
+
+
 def test_nothing_eligible(recorder: Recorder) -> None:
     recorder.summary = make_summary(eligible=0, successes=0, success_rate=None, ci95=None, failures={}, infra_errors=9)
     result = rema("evaluate", "random", "--task", "grasp")
