@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -70,6 +71,33 @@ def test_shared_features_and_kept_kernels_change_nothing(name: str) -> None:
     first, again = (scorer.log_odds(batch.scene, batch.end_effector, 16) for _ in range(2))
     assert np.array_equal(first, again)
     np.testing.assert_allclose(first, plain_log_odds(network, batch, 16), atol=1e-4)
+
+
+def test_scenes_and_hands_are_encoded_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bare hands and a tool in one batch, twice: every scene once each time, every hand once in all."""
+    bare, tool = question(SITUATIONS["gripper_grasp"]), question(SITUATIONS["tool"])
+    scene = np.concatenate([bare.scene, tool.scene, bare.scene])
+    hands = np.concatenate([bare.end_effector, tool.end_effector, bare.end_effector])
+    network = settled()
+    scorer, alone = Scorer(network), Scorer(network)
+    encoded = {"encode_scene": 0, "encode_end_effector": 0}
+
+    def counted(name: str) -> Callable[[torch.Tensor], torch.Tensor]:
+        real = getattr(scorer._network, name)
+
+        def call(given: torch.Tensor) -> torch.Tensor:
+            encoded[name] += len(given)
+            return real(given)  # type: ignore[no-any-return]
+
+        return call
+
+    for name in encoded:
+        monkeypatch.setattr(scorer._network, name, counted(name))
+    found = [scorer.log_odds(scene, hands, 16) for _ in range(2)]
+    assert encoded == {"encode_scene": 2 * 3, "encode_end_effector": 8 + 16}  # a bare hand has half of the angles
+    one_by_one = np.concatenate([alone.log_odds(scene[n : n + 1], hands[n : n + 1], 16) for n in range(3)])
+    for maps in found:
+        np.testing.assert_allclose(maps, one_by_one, atol=1e-5)
 
 
 def compare_openvino(joint: Path) -> None:
