@@ -152,7 +152,7 @@ def page(plan: RecursionPlan, images: Path) -> str:
         "## The data by round",
         "![Data by round](images/data_by_round.png)",
         f"`rema stats releases/{newest} --plot docs/images/data_by_round.png`: {newest} has "
-        f"{counts['episodes']:,} episodes and {counts['steps']:,} steps.",
+        f"{counts['episodes']:,} episodes and {counts['steps']:,} steps. The paper's bars are its Table 2's.",
         collected_table(release),
         "Last steps, training split. Rounds 1 to 3 were played by an earlier rule of decision: see the remarks above.",
         "All of it beside the paper's Table 2, as `rema stats` shows it:",

@@ -1,4 +1,7 @@
-"""The paper's figure of the data by round: positives and negatives accumulated over the rounds, for every task."""
+"""The paper's figure of the data by round: positives and negatives accumulated over the rounds, for every task.
+
+Beside our last bar stands the paper's, from its Table 2.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ import numpy as np
 from rema_data.errors import InputError
 from rema_data.schema import TASKS
 from rema_data.statistics.count import Statistics
+from rema_data.statistics.paper import Counts, published_counts
 from rema_data.storage import write_atomic
 
 if TYPE_CHECKING:
@@ -63,13 +67,14 @@ def plot_rounds(statistics: Statistics, path: Path) -> None:
         raise InputError(
             f"figures need {error.name}, which is not installed", hint='pip install "rema[report]"'
         ) from error
-    sums = accumulated(statistics)
+    sums, paper = accumulated(statistics), published_counts()
     if not sums:
         raise InputError(f"no block of {statistics.release} is on this machine", hint=statistics.mend)
     figure = Figure(figsize=(2.6 * len(sums) + 0.6, 3.4), dpi=150, facecolor="white", layout="constrained")
     panels = figure.subplots(1, len(sums), squeeze=False)[0]
     for axes, (task, counts) in zip(panels, sums.items(), strict=True):
-        _panel(axes, task, counts)
+        _panel(axes, counts, paper.get(task))
+        axes.set_title(task, fontsize=9, color=_INK)
     panels[0].set_ylabel("last steps, accumulated", color=_INK)
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=8)
@@ -80,9 +85,12 @@ def plot_rounds(statistics: Statistics, path: Path) -> None:
     write_atomic(path, buffer.getvalue())
 
 
-def _panel(axes: Axes, task: str, counts: dict[int, tuple[int, int]]) -> None:
-    place = np.arange(len(counts))
-    positives, negatives = np.array(list(counts.values())).T
+def _panel(axes: Axes, counts: dict[int, tuple[int, int]], paper: Counts | None) -> None:
+    bars = {str(number): pair for number, pair in counts.items()}
+    if paper is not None:
+        bars["paper"] = (paper.positives, paper.negatives)
+    place = np.arange(len(bars))
+    positives, negatives = np.array(list(bars.values())).T
     axes.bar(place, positives, 0.7, color=_POSITIVE, label="positive")
     axes.bar(place, negatives, 0.7, bottom=positives, color=_NEGATIVE, label="negative")
     for x, good, bad in zip(place, positives, negatives, strict=True):
@@ -91,9 +99,8 @@ def _panel(axes: Axes, task: str, counts: dict[int, tuple[int, int]]) -> None:
             axes.annotate(
                 share, (x, good + bad), (0, 2), textcoords="offset points", ha="center", fontsize=7, color=_INK
             )
-    axes.set_xticks(place, [str(number) for number in counts])
+    axes.set_xticks(place, list(bars))
     axes.set_xlabel("round", color=_INK)
-    axes.set_title(task, fontsize=9, color=_INK)
     axes.margins(y=0.18)
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
     axes.tick_params(labelsize=7, colors=_INK)
