@@ -68,8 +68,10 @@ def main() -> int:
     notes, numbers, first = [], {}, None
     for number, (way, changed) in enumerate(WAYS.items()):
         folder = arguments.output / f"way-{number}"
-        for command in commands(changed, folder, arguments.device):
-            subprocess.run(command, cwd=ROOT, check=True)
+        products = (folder / "network" / "grasp.json", folder / "run" / "summary.json")
+        for command, product in zip(commands(changed, folder, arguments.device), products, strict=True):
+            if not product.is_file():
+                subprocess.run(command, cwd=ROOT, check=True)
         run, card = read_run(folder / "run"), load_checkpoint(folder / "network" / "grasp")[1]
         counts, auc = run.counts, card.metrics["auc"]
         low, high = wilson(counts.successes, counts.eligible)
