@@ -58,7 +58,7 @@ for run in runs/{random,scripted,tae-separate,tae-joint}-*; do
 done
 python benchmarks/leaderboard.py
 python benchmarks/command_line.py
-python benchmarks/train.py --json $results/train.json
+python benchmarks/train.py --tried --json $results/train.json
 python benchmarks/train.py --device cuda --batches 8,32,128,512,2048 --updates 8 --json $results/train_cuda.json # on a GPU
 python benchmarks/infer.py --checkpoint releases/checkpoints/rema-v0/joint --runtimes --json $results/infer.json
 
