@@ -66,9 +66,10 @@ right about an action is right about it every time. The paper does not say wheth
 Grasp after round 1 is above what was asked for. That is not the rule of decision: round 2 was collected by the argmax
 of probabilities, which float32 rounds to 1 for many actions of a network that is sure; the policy now compares log
 odds, and the same weights reach about as much with either (round 2 in the table of the data, and grasp after round 1
-below). Nor is it the turning of grasps in training, which the paper does not name, or the learning rate: without the
-one, and with the paper's rate, the same data teach more and not less (what round 1 depends on, below). The same plan
-trained on another processor came out some points apart, too. What is left is the world: see above."""
+below). Nor is it the turning of grasps in training, which the paper does not name: without it the same data teach more.
+The paper's learning rate takes back a part of that, and by far not all (what round 1 depends on, below). The same plan
+trained on another processor came out some points apart, too. Not tried: the number of updates, the balance, the
+resolution of the maps, and the world, of which see above."""
 
 
 def draw_rounds(found: Mapping[str, Mapping[int, Summary]], plan: RecursionPlan, path: Path) -> None:

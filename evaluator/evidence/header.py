@@ -87,7 +87,8 @@ def resume_command(header: dict[str, Any], folder: Path) -> str:
     for option in ("task", "protocol", "split"):
         if option in identity:
             words += [f"--{option}", str(identity[option])]
-    devices = {segment["device"] for segment in header["segments"] if isinstance(segment.get("device"), str)}
-    words += [word for device in sorted(devices)[:1] for word in ("--device", device)]
+    devices = [segment["device"] for segment in header["segments"] if isinstance(segment.get("device"), str)]
+    if devices:
+        words += ["--device", devices[-1]]
     words += ["--episodes", str(header["episodes"]), "--output", str(folder)]
     return shlex.join(words)
