@@ -109,10 +109,10 @@ def test_the_published_networks_are_whole() -> None:
             assert json.loads(card.read_text())["format"].startswith("rema tae checkpoint")
 
 
-@pytest.mark.parametrize("policy", ["tae-joint", "tae-separate"])
-def test_the_published_networks_play(policy: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("policy", "task"), [("tae-joint", "grasp_push"), ("tae-separate", "push")])
+def test_the_published_networks_play(policy: str, task: str, tmp_path: Path) -> None:
     """With nothing but a name, as the README has it, and the judge never has torch or the network in its process."""
-    command = [sys.executable, "-c", JUDGE, "evaluate", policy, "--task", "grasp_push", "--json"]
+    command = [sys.executable, "-c", JUDGE, "evaluate", policy, "--task", task, "--json"]
     command += ["--episodes", "4", "--workers", "1", "--output", str(tmp_path / "run")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
