@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import ctypes
+import ctypes.util
+import os
 import textwrap
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from evaluator.policy import PolicySpec, resolve
+from evaluator.policy import PolicyHost, PolicySpec, resolve
 
 WritePolicy = Callable[..., PolicySpec]
 
@@ -23,6 +26,22 @@ def replies():
             pass
 """
 """Code that finds the pipe on which the policy's process answers."""
+
+LANDLOCK_VERSION = (444, None, 0, 1)
+"""The system call that answers which version of Landlock the kernel has; its number is the same on every machine."""
+
+
+def walls_can_stand() -> bool:
+    """Whether this kernel has Landlock that covers truncation, and this machine has libseccomp: asked without rema."""
+    landlock = ctypes.CDLL(None, use_errno=True).syscall(*LANDLOCK_VERSION) if os.uname().sysname == "Linux" else 0
+    return bool(landlock >= 3 and ctypes.util.find_library("seccomp"))
+
+
+def skip_without_walls(host: PolicyHost) -> None:
+    """Skip where the machine cannot put up the walls; where it can, walls that are down fail the test."""
+    if host.isolation.level == "L1":
+        assert not walls_can_stand(), f"this machine has what the walls need, and yet: {host.isolation}"
+        pytest.skip(str(host.isolation))
 
 
 @pytest.fixture

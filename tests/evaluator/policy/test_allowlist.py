@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from evaluator.policy import PolicyHost, PolicySpec, allowlist
 from evaluator.policy.allowlist import allowed_for
 from tests.evaluator.policy.batches import make_batch
-from tests.evaluator.policy.conftest import WritePolicy
+from tests.evaluator.policy.conftest import WritePolicy, skip_without_walls
 from tests.evaluator.policy.test_host_answers import LIMITS, reasons
 
 NAMES = st.sampled_from(["a", "b", "c", "d.py"])
@@ -110,7 +110,6 @@ def test_manifests_caches_and_runs_beside_the_policy(
     monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
     monkeypatch.setenv("REMA_HOME", str(tmp_path / "home"))
     with PolicyHost(reader, None, "cpu", LIMITS, tmp_path / "runs" / "now" / "policy.log") as host:
-        if host.isolation.level == "L1":
-            pytest.skip(str(host.isolation))
+        skip_without_walls(host)
         assert reasons(host.act(make_batch(1))) == ["ok"]
     assert set(host.output.splitlines()) == {str(file) for file in hidden}

@@ -23,6 +23,7 @@ from rema_data.errors import PolicyFailureError, SubmissionError
 from tests.evaluator.fakes import fake_backend, fake_config
 from tests.evaluator.policy import hostile
 from tests.evaluator.policy.batches import make_batch, make_situation
+from tests.evaluator.policy.conftest import skip_without_walls
 from tests.evaluator.policy.test_host_answers import reasons
 
 PATIENT = PolicyLimits(start_s=60, batch_s=30, single_s=30)
@@ -52,10 +53,8 @@ def _nothing_stays(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest
 
 @pytest.fixture(scope="module")
 def _walls_stand() -> None:
-    """Skip where this kernel, or this installation, has not all walls."""
     with PolicyHost(resolve("random"), None) as host:
-        if host.isolation.level == "L1":
-            pytest.skip(str(host.isolation))
+        skip_without_walls(host)
 
 
 @pytest.mark.usefixtures("_walls_stand")
