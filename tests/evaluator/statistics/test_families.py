@@ -63,6 +63,19 @@ def test_holm_makes_a_false_claim_in_one_family_of_twenty_at_most() -> None:
     assert wrong < 2000 * 0.06
 
 
+@pytest.mark.parametrize("false", [0, 3, 8])
+def test_of_benjamini_and_hochbergs_claims_one_in_twenty_is_false_at_most(false: int) -> None:
+    """Of ten independent hypotheses some are false; where none is, any claim is a false one."""
+    generator = np.random.default_rng(4)
+    shares = []
+    for _ in range(2000):
+        scores = generator.normal(size=10) + np.array([0.0] * (10 - false) + [3.0] * false)
+        claimed = np.array(benjamini_hochberg((2 * norm.sf(np.abs(scores))).tolist())) <= 0.05
+        shares.append(claimed[: 10 - false].sum() / max(claimed.sum(), 1))
+    expected = 0.05 * (10 - false) / 10
+    assert np.mean(shares) == pytest.approx(expected, abs=3.5 * np.std(shares) / np.sqrt(len(shares)))
+
+
 @given(
     st.integers(1, 9).flatmap(
         lambda n: st.tuples(st.just(n), st.sets(st.sampled_from(list(combinations(range(n), 2)) or [(0, 0)])))
