@@ -158,7 +158,10 @@ def _preview_scenario(
         )
     wanted = None if action is None else _parse(action)
     # Imported here, so that a mistyped option is answered at once.
+    from evaluator.cli.quiet import import_pybullet
     from evaluator.policy.loading import resolve
+
+    import_pybullet()
     from evaluator.preview import asked, check_action, find_scenario, find_step, play, write_preview
     from rema_data.schema import to_dict
 

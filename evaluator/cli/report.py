@@ -45,8 +45,11 @@ def report(
     """
     # Imported here, so that a mistyped option is answered at once.
     from evaluator.cli.progress import StderrProgress
+    from evaluator.cli.quiet import import_pybullet
     from evaluator.policy.loading import check_checkpoint, resolve
     from evaluator.policy.shipped import shipped_checkpoint
+
+    import_pybullet()
     from evaluator.report import ReportOptions, write_report
     from rema_data.errors import InputError
 

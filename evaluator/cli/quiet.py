@@ -1,0 +1,25 @@
+"""PyBullet without the line that it writes to standard error, from C, whenever it is imported."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+
+__all__ = ["import_pybullet"]
+
+
+def import_pybullet() -> None:
+    """Import PyBullet with standard error closed: a command's own words are all that a user is to read there."""
+    if sys.stderr is None:  # closed by the caller
+        return
+    sys.stderr.flush()
+    kept = os.dup(2)
+    silence = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(silence, 2)
+        importlib.import_module("pybullet")
+    finally:
+        os.dup2(kept, 2)
+        os.close(silence)
+        os.close(kept)
