@@ -6,13 +6,16 @@ Exit codes: 0 ok, 1 bug, 2 usage or bad input, 3 submission invalid, 4 policy fa
 
 from __future__ import annotations
 
+import atexit
 import errno
 import importlib
 import importlib.metadata
 import io
+import logging
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -58,6 +61,8 @@ VERBS: dict[str, Verb] = {
 """Verbs in the order of the help. A target is a name and not an import: it may lie in a package above this one."""
 
 INTERRUPTED = 130
+RESUMED = frozenset({"download", "collect", "train", "rounds", "evaluate", "scenarios"})
+"""Verbs that go on where they were interrupted. The others begin anew, and leave nothing half-written."""
 
 
 class _Verbs(click.Group):
@@ -94,8 +99,17 @@ class _Verbs(click.Group):
             click.echo(f"rema: the system refused: {error.strerror or error}{place}", err=True)
             ctx.exit(InputError.exit_code)
         except KeyboardInterrupt:
-            click.echo("\nrema: interrupted; run the same command again to resume", err=True)
+            atexit.register(_say_no_more)
+            end = " to resume" if ctx.invoked_subcommand in RESUMED else ""
+            click.echo(f"\nrema: interrupted; run the same command again{end}", err=True)
             ctx.exit(INTERRUPTED)
+
+
+def _say_no_more() -> None:
+    """What threads of libraries were doing when they were interrupted (Zarr's tasks, each by name) is no news."""
+    logging.disable()
+    warnings.simplefilter("ignore")
+    sys.unraisablehook = lambda _: None
 
 
 def _prepare_streams() -> None:

@@ -183,13 +183,6 @@ def test_errors_end_in_their_exit_code(recorder: Recorder, kind: type[errors.Rem
     assert result.stderr.endswith("rema: this is wrong\nmend it so\n") and result.stdout == ""
 
 
-def test_an_interruption_says_how_to_resume(recorder: Recorder) -> None:
-    recorder.error = KeyboardInterrupt()
-    result = rema("evaluate", "random", "--task", "grasp")
-    assert result.exit_code == 130
-    assert "run the same command again to resume" in result.stderr
-
-
 def test_a_bug_keeps_its_traceback(recorder: Recorder) -> None:
     recorder.error = ZeroDivisionError("a bug")
     result = rema("evaluate", "random", "--task", "grasp")

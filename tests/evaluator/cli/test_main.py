@@ -58,6 +58,19 @@ def test_errors_become_sentences(monkeypatch: pytest.MonkeyPatch, error: BaseExc
     assert result.exit_code == code and words in result.stderr and "Traceback" not in result.stderr
 
 
+@pytest.mark.parametrize(("verb", "end"), [("evaluate", "again to resume"), ("replay", "again")])
+def test_what_an_interrupted_verb_does_when_it_is_run_again(
+    monkeypatch: pytest.MonkeyPatch, verb: str, end: str
+) -> None:
+    @click.command()
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(importlib.import_module(f"evaluator.cli.{verb}"), verb, interrupted)
+    result = CliRunner().invoke(cli, [verb])
+    assert result.exit_code == 130 and result.stderr.endswith(f"run the same command {end}\n")
+
+
 @pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_stop_signals_interrupt_once_and_tidily(kind: signal.Signals) -> None:
     code = (
