@@ -76,6 +76,7 @@ def test_a_whole_run_becomes_an_entry(tmp_path: Path, protocol: str) -> None:
         ({"nondeterministic": 2}, "nondeterministic"),
         ({"audit": None}, "audit"),
         ({"audit": {**AUDIT, "outcome_flips": 1}}, "audit"),
+        ({"audit": {**AUDIT, "action_flips": 2}}, "actions"),  # of 30: over 5 %
         ({"identity": {"protocol_hash": "0" * 64}}, "protocol_hash"),
         ({"identity": {"scenarios_hash": "0" * 64}}, "scenarios_hash"),
         ({"identity": {"policy_digest": "none"}}, "run.json policy_digest"),
@@ -89,6 +90,10 @@ def test_a_whole_run_becomes_an_entry(tmp_path: Path, protocol: str) -> None:
 )
 def test_each_condition_is_named(tmp_path: Path, changes: dict[str, Any], condition: str) -> None:
     assert failed(write_run(tmp_path / "run", solved(0.4, 3), **changes)) == [condition]
+
+
+def test_a_few_questions_answered_otherwise_are_rounding(tmp_path: Path) -> None:
+    assert failed(write_run(tmp_path / "run", solved(0.4, 3), audit={**AUDIT, "action_flips": 1})) == []
 
 
 def test_the_validation_split_and_short_runs_are_no_submissions(tmp_path: Path) -> None:
