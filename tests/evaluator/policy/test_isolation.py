@@ -5,24 +5,36 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
+import tempfile
+import time
 from pathlib import Path
 
+import psutil
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluator.policy import PolicyHost, resolve
+from evaluator.policy import PolicyHost, PolicyLimits, resolve
 from evaluator.policy.isolation import KERNEL_WALLS, NAMESPACES, isolation_of
 from evaluator.policy.sandbox import check_sandbox, wrapped
 from rema_data.errors import InputError
+from rema_data.manifests import manifests_dir
 from tests.evaluator.policy.batches import make_batch
-from tests.evaluator.policy.conftest import WritePolicy
+from tests.evaluator.policy.conftest import WritePolicy, walls_can_stand
 from tests.evaluator.policy.test_host_answers import LIMITS, reasons
 
+IMPATIENT = PolicyLimits(start_s=30, batch_s=0.5)
 FOREIGN = {kind: f"{kind}:[1]" for kind in NAMESPACES}
-BWRAP = (
-    "bwrap --unshare-all --die-with-parent --ro-bind / / --tmpfs {manifests} --bind {tmp} {tmp} --proc /proc --dev /dev"
-)
+WRAPPERS = {
+    "bwrap": "bwrap --unshare-all --die-with-parent --ro-bind / / --tmpfs {manifests} --bind {tmp} {tmp} "
+    "--proc /proc --dev /dev --",
+    "podman": "podman run --rm -i --network none --env-host --workdir {tmp} --volume {tmp}:{tmp} "
+    "--mount type=tmpfs,destination={manifests},notmpcopyup --rootfs /:O",
+}
+"""The commands of docs/threat_model.md."""
+NOTHING = {"bwrap": "bwrap --ro-bind / / true", "podman": "podman run --rm --network none --rootfs /:O true"}
+"""What each can do where it is installed and allowed to do its work."""
 
 
 @given(
@@ -84,17 +96,49 @@ def test_a_wrapper_that_wraps_nothing_earns_nothing() -> None:
         assert reasons(host.act(make_batch(1))) == ["ok"]
 
 
-def test_a_wrapper_with_namespaces_of_its_own(write_policy: WritePolicy) -> None:
-    if shutil.which("bwrap") is None:
-        pytest.skip("bwrap is not installed")
-    from rema_data.manifests import manifests_dir
+@pytest.fixture(params=WRAPPERS)
+def wrapper(request: pytest.FixtureRequest) -> str:
+    """The command of a wrapper that works on this machine."""
+    name = str(request.param)
+    if shutil.which(name) is None:
+        pytest.skip(f"{name} is not installed")
+    tried = subprocess.run(NOTHING[name].split(), capture_output=True, text=True, check=False, timeout=60)
+    if tried.returncode:
+        pytest.skip(f"{name} does nothing on this machine: {tried.stderr.strip()}")
+    return WRAPPERS[name]
 
+
+def test_a_wrapper_with_namespaces_of_its_own(wrapper: str, write_policy: WritePolicy) -> None:
     lists = str(manifests_dir() / "scenarios")
     spec = write_policy(f"good[:, 2] = os.path.exists({lists!r}) + 2 * (os.getpid() > 100)\nreturn good")
-    with PolicyHost(spec, None, "cpu", LIMITS, sandbox=f"{BWRAP} --") as host:
-        assert host.isolation.to_dict()["up"].get("namespaces") == "mnt, net, pid"
+    with PolicyHost(spec, None, "cpu", LIMITS, sandbox=wrapper) as host:
+        told = host.isolation.to_dict()
+        assert told["level"] == ("L3" if walls_can_stand() else "L1")
+        assert told["up"].get("namespaces") == "mnt, net, pid"
         answers = host.act(make_batch(1))
         assert all(isinstance(answer, int) and answer % 16 == 0 for answer in answers)
+
+
+def test_a_policy_that_hangs_in_a_wrapper_ends_with_it(
+    wrapper: str, write_policy: WritePolicy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+
+    def inside() -> list[str]:
+        """Processes whose temporary folder is the policy's."""
+        return [
+            process.info["name"]
+            for process in psutil.process_iter(["name", "environ"])
+            if (process.info["environ"] or {}).get("TMPDIR", "").startswith(str(tmp_path))
+        ]
+
+    with PolicyHost(write_policy("time.sleep(600)"), None, "cpu", IMPATIENT, sandbox=wrapper) as host:
+        assert inside()
+        assert reasons(host.act(make_batch(1))) == ["timeout"]
+    deadline = time.monotonic() + 20
+    while inside():
+        assert time.monotonic() < deadline, inside()
+        time.sleep(0.1)
 
 
 def test_a_wrapper_in_which_nothing_runs() -> None:
