@@ -47,9 +47,9 @@ SHOWN = 5
 WANTED_RATIO, WANTED_EQUAL = 2.0, 0.999
 
 
-def questions(task: str, count: int) -> list[ObservationBatch]:
-    """The last step of the first scenarios of the task's validation list."""
-    situations = [scenario.last_situation() for scenario in load_list(task, "val").scenarios[:count]]
+def questions(task: str, count: int, split: str = "val") -> list[ObservationBatch]:
+    """The last step of the first scenarios of one of the task's lists."""
+    situations = [scenario.last_situation() for scenario in load_list(task, split).scenarios[:count]]
     step = len(TASKS[task]) - 1
     kind, valid = TASKS[task][step], valid_actions(task, step)
     made = []
