@@ -39,6 +39,7 @@ SECTIONS = {
     "robomimic_reader": "Exported files in robomimic's own reader",
     "train": "Training speed",
     "infer": "Inference speed",
+    "half_precision": "Weights in half precision",
 }
 """Sections, in this order; a benchmark may have several files."""
 

@@ -1,6 +1,7 @@
 """Every process of the tests computes with one thread: several run at a time, and the networks are small.
 
 No example of a property test has a deadline: how long it takes says something about the machine, not about the code.
+There are 60 of them a run, and other ones in every run.
 """
 
 from __future__ import annotations
@@ -12,5 +13,5 @@ from hypothesis import settings
 for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
-settings.register_profile("rema", deadline=None)
+settings.register_profile("rema", max_examples=60, deadline=None)
 settings.load_profile("rema")
