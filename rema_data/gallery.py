@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 __all__ = ["GalleryStep", "find_steps"]
 
+_MOST = np.iinfo(np.int32).max
+"""An episode's number is an int32."""
+
 
 @dataclass(frozen=True, slots=True)
 class GalleryStep:
@@ -107,7 +110,8 @@ def _kept(
 
     keep = pa.array(np.ones(steps.num_rows, bool))
     if episodes:
-        keep = pc.is_in(steps["episode"], value_set=pa.array(sorted(episodes), steps["episode"].type))
+        possible = sorted(number for number in episodes if number <= _MOST)
+        keep = pc.is_in(steps["episode"], value_set=pa.array(possible, steps["episode"].type))
     elif which != "all":
         keep = pc.equal(steps["last"], which == "last")
     if success is not None:

@@ -24,8 +24,9 @@ from evaluator.runner import Backend, ProgressSink, Silent, default_backend
 from rema_data.errors import InputError, PolicyFailureError, RunMismatchError
 from rema_data.release.folder import ReleaseFolder, find_release
 from rema_data.release.manifest import MANIFEST, parse_manifest
+from rema_data.release.mending import Mending
 from rema_data.release.registry import load_published, published
-from rema_data.release.seal import seal
+from rema_data.release.seal import file_sha256, seal
 from rema_data.schema import SCHEMA_VERSION
 from rema_data.store.block import BlockKey, BlockWriter
 
@@ -103,7 +104,9 @@ def inherit(plan: CollectionPlan, output: Path) -> tuple[ReleaseFolder | None, l
     Raises
     ------
     InputError
-        There is no such parent, it has no such round, or it does not lie beside the new release.
+        There is no such parent, it has no such round, or the round does not lie whole beside the new release.
+    RunMismatchError
+        What lies there under its name is other data.
     MissingFileError
         It is not on this machine.
     """
@@ -118,13 +121,25 @@ def inherit(plan: CollectionPlan, output: Path) -> tuple[ReleaseFolder | None, l
                 hint="mend the plan's rounds",
                 round=number,
             )
-    absent = sorted({block.holder for block in blocks if not (output / block.holder).is_dir()})
+    parent.require(blocks)
+    beside = ReleaseFolder(parent.manifest, output)
+    files = parent.manifest.files_of(blocks)
+    absent = sorted({file.holder for file in files if not beside.has(file)})
     if absent:
         raise InputError(
-            f"the reused rounds lie in {', '.join(absent)}, which is not in {output}",
+            f"the reused rounds lie in {', '.join(absent)}, which is not in {output}, or not whole",
             hint=f"collect beside it: --output {parent.root}",
             holders=absent,
         )
+    for file in files:
+        if file_sha256(beside.file(file)) != file.sha256:
+            raise RunMismatchError(
+                f"{beside.file(file)} is not that of {parent.manifest.name}, whose rounds are reused",
+                hint=f"collect beside that release: --output {parent.root}"
+                if parent.root.resolve() != output.resolve()
+                else Mending(beside).at(beside.file(file)),
+                path=str(beside.file(file)),
+            )
     return parent, [block.key for block in blocks]
 
 

@@ -186,7 +186,7 @@ class _Recursion:
             if entry.collection is None:
                 raise MissingFileError(
                     f"round {entry.number} is reused from {entry.release}, which is not in {self.releases}",
-                    hint="collect that recursion first, or fetch it",
+                    hint="collect that recursion first, or fetch it; its last round has its name, and is not reused",
                 )
             if entry.played_by:  # noted before the first episode: a kill between the seal and a note would lose it
                 note(self.networks / PLAYERS, entry.release, players_of(entry, self.releases))

@@ -39,6 +39,7 @@ from baselines.rounds.planned import CollectionPlan
 from baselines.train.config import TrainingConfig
 from evaluator.policy.shipped import CHECKPOINTS
 from rema_data.errors import InputError, RemaError
+from rema_data.release.manifest import check_name
 
 __all__ = ["NetworkPlan", "RecursionPlan", "RoundPlan", "load_recursion"]
 
@@ -168,7 +169,10 @@ def load_recursion(path: Path) -> RecursionPlan:
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
         raise InputError(f"{path}: rounds is not a list of rounds", hint="write a table [[rounds]] for each")
     about = {key: value for key, value in content.items() if key not in _OWN}
-    name, base = str(content.get("name", "")), content.get("begins_with")
+    try:
+        name, base = check_name(str(content.get("name", ""))), content.get("begins_with")
+    except InputError as error:
+        raise InputError(f"{path}: name: {error.message}", hint=error.hint) from error
     rounds: list[RoundPlan] = []
     known: set[str] = set()
     for number, entry in enumerate(entries, 1):

@@ -19,6 +19,8 @@ _CHOICES = {
     "on_empty": ("raise", "renormalise"),
 }
 _LEAST = {"updates": 1, "batch_size": 1, "validate_every": 1, "validation_steps": 2, "seed": 0}
+_MOST_SEED = 2**63 - 2
+"""torch takes the next number, too, and none beyond 63 bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +81,8 @@ class TrainingConfig:
             value = getattr(self, name)
             if not isinstance(value, int) or isinstance(value, bool) or value < least:
                 raise InputError(f"{name} = {value!r} is not possible", hint=f"give a whole number from {least} on")
+        if self.seed > _MOST_SEED:
+            raise InputError(f"seed = {self.seed} is not possible", hint=f"give one up to {_MOST_SEED}")
         for name in ("rotate", "mirror"):
             if not isinstance(getattr(self, name), bool):
                 raise InputError(f"{name} = {getattr(self, name)!r} is not possible", hint="write true or false")

@@ -8,18 +8,19 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import pyarrow as pa
 import torch
 from torch import Tensor
 
 from baselines.tae.rotation import turn_end_effector
 from baselines.train.config import TrainingConfig
 from rema_data.augment import Augment
-from rema_data.errors import InputError, IntegrityError
+from rema_data.errors import InputError, IntegrityError, MissingFileError
 from rema_data.grid import ANGLES
 from rema_data.loader.batch import StepBatch
 from rema_data.loader.dataset import StepDataset
 from rema_data.loader.release import Release
-from rema_data.manifests import manifests_dir
+from rema_data.manifests import RESTORE, manifests_dir
 from rema_data.release.mending import Mending
 from rema_data.samplers import BalancedSampler
 from rema_data.verify.leakage import frozen_lists, read_frozen, scene_keys
@@ -136,10 +137,22 @@ def refuse_test_scenes(release: Release, tasks: tuple[str, ...]) -> None:
     Raises
     ------
     IntegrityError
+        One is; or a list cannot be read.
+    MissingFileError
+        There are no lists, so nobody can tell.
     """
     frozen: dict[bytes, str] = {}
     for path in frozen_lists(manifests_dir()):
-        frozen.update(read_frozen(path))
+        try:
+            frozen.update(read_frozen(path))
+        except (pa.ArrowException, ValueError, KeyError, OSError) as error:
+            raise IntegrityError(f"{path} cannot be read: {error}", hint=RESTORE, path=str(path)) from error
+    if not frozen:
+        raise MissingFileError(
+            f"there are no scenario lists in {manifests_dir()}: nobody can tell whether this data has scenes of them",
+            hint=RESTORE,
+            path=str(manifests_dir()),
+        )
     for block in release.blocks:
         if block.key.task not in tasks:
             continue

@@ -21,6 +21,7 @@ from baselines.train.data import open_data, prepared
 from baselines.train.result import DIVERGED, DivergedError, Trained, save_best, trained
 from baselines.train.state import TrainingState, locked, read_state, state_path, write_state
 from baselines.train.validation import pixel_logits, validate
+from evaluator.runner.environment import source_digest
 from rema_data.augment import Augment
 from rema_data.loader.release import Release
 from rema_data.storage import write_atomic
@@ -29,6 +30,8 @@ __all__ = ["DivergedError", "Trained", "train", "trained"]
 
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 _BETAS = (0.9, 0.95)
+_CODE = ("baselines.tae", "baselines.train", "rema_data")
+"""What decides the weights: a training that was stopped is not taken up by other code."""
 """Of Adam, as AdaGrasp has them."""
 Report = Callable[[int, dict[str, Any]], None]
 
@@ -119,7 +122,12 @@ class _Training:
 
     @property
     def identity(self) -> dict[str, Any]:
-        return {"training": self.config.to_dict(), "release": self.release.fingerprint, "device": self.device.type}
+        return {
+            "training": self.config.to_dict(),
+            "release": self.release.fingerprint,
+            "device": self.device.type,
+            "code": {name: source_digest(name) for name in _CODE},
+        }
 
     def go(self, save_every: int) -> Trained:
         self.resume()

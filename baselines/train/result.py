@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
+import shlex
 import shutil
-import subprocess
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,8 @@ from torch import Tensor
 from baselines.tae.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from baselines.train.config import TrainingConfig
 from baselines.train.state import state_path
-from rema_data.errors import RemaError, RunMismatchError
+from evaluator.runner.environment import code_commit
+from rema_data.errors import InputError, IntegrityError, MissingFileError, RemaError, RunMismatchError
 from rema_data.loader.release import Release
 
 __all__ = ["DIVERGED", "DivergedError", "Trained", "save_best", "trained"]
@@ -64,7 +64,12 @@ def trained(release: Release, config: TrainingConfig, folder: Path, name: str) -
     """
     if not (folder / f"{name}.json").exists():
         return None
-    _, about = load_checkpoint(folder / name)
+    try:
+        _, about = load_checkpoint(folder / name)
+    except (IntegrityError, InputError, MissingFileError) as error:
+        files = " ".join(shlex.quote(str(folder / f"{name}{end}")) for end in (".json", ".safetensors"))
+        hint = f"delete it to train it again: rm -f {files}; or choose another --output or --name"
+        raise type(error)(error.message, hint=hint, path=str(folder / name)) from error
     wanted = json.loads(json.dumps(config.to_dict()))
     if about.release_sha256 != release.fingerprint or about.training != wanted:
         raise RunMismatchError(
@@ -116,13 +121,6 @@ def save_best(
 
 
 def _commit() -> str:
-    """Commit of the checkout that this package lies in, with ``+`` where files differ from it; else empty."""
-
-    def git(*words: str) -> str:
-        done = subprocess.run(["git", *words], cwd=here, capture_output=True, text=True, check=True, timeout=10)
-        return done.stdout.strip()
-
-    here = Path(__file__).resolve().parent
-    with suppress(OSError, subprocess.SubprocessError):
-        return git("rev-parse", "HEAD") + ("+" if git("status", "--porcelain", "-uno") else "")
-    return ""
+    """Commit of the code, with ``+`` where files differ from it; empty where it is not known."""
+    found = code_commit()
+    return f"{found['commit'] or ''}{'+' if found['dirty'] else ''}"

@@ -116,9 +116,10 @@ def read_state(folder: Path, identity: Mapping[str, Any]) -> TrainingState | Non
         try:
             card = json.loads(path.read_text(encoding="utf-8"))
             data = path.with_suffix(".safetensors").read_bytes()
-        except (OSError, ValueError):
+            whole = hashlib.sha256(data).hexdigest() == card["sha256"]
+        except (OSError, ValueError, KeyError, TypeError):
             continue
-        if hashlib.sha256(data).hexdigest() != card["sha256"]:
+        if not whole:
             continue
         here = json.loads(json.dumps(dict(identity)))
         if card["identity"] != here:

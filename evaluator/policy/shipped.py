@@ -15,6 +15,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from filelock import FileLock
+
 from rema_data.errors import IntegrityError, MissingFileError
 from rema_data.manifests import manifests_dir, read_manifest
 from rema_data.release.folder import downloads_folder, local_sources
@@ -96,6 +98,13 @@ def publish_checkpoint(policy: str, folder: str, place: Path) -> None:
         The manifest may not be written.
     """
     names = sorted(_networks(place))
+    path = _manifest()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with FileLock(path.with_name(f".{path.name}.lock")):  # held for milliseconds: wait for it
+        _enter(policy, folder, place, names)
+
+
+def _enter(policy: str, folder: str, place: Path, names: list[str]) -> None:
     known = shipped_policies() | {policy: (folder, {name: _sha256(place / name) for name in names})}
     entries = {name: {"folder": where, "files": files} for name, (where, files) in sorted(known.items())}
     write_atomic(_manifest(), json.dumps({"policies": entries}, indent=1) + "\n")

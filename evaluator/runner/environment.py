@@ -15,7 +15,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-__all__ = ["environment", "source_digest"]
+__all__ = ["code_commit", "environment", "source_digest"]
 
 _PACKAGES = ("rema", "numpy", "pybullet", "torch", "openvino", "pyarrow", "scipy")
 _OWN = ("rema_data", "evaluator", "baselines")
@@ -36,7 +36,7 @@ def environment() -> dict[str, Any]:
         },
         "versions": {"python": platform.python_version(), **_versions()},
         "packages": {name: source_digest(name) for name in _OWN if find_spec(name) is not None},
-        **_commit(),
+        **code_commit(),
     }
 
 
@@ -59,7 +59,7 @@ def _processor() -> str:
     return platform.processor()
 
 
-def _commit() -> dict[str, Any]:
+def code_commit() -> dict[str, Any]:
     """Commit of the checkout that this code runs from or its wheel was built in, and whether that was changed.
 
     Null where neither is known.

@@ -13,6 +13,7 @@ from rema_data.convert.formats import find_format
 from rema_data.errors import InputError, RunMismatchError
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, Manifest, check_name
+from rema_data.release.registry import published
 from rema_data.release.seal import Description, file_sha256, seal
 from rema_data.storage import storage_errors, sync_folder, write_atomic
 from rema_data.store.block import BlockKey, BlockWriter
@@ -113,6 +114,12 @@ def import_release(
                     release = _restore(source.manifest, staging, root)
                     return Imported(release, source.manifest, (), tuple(source.notes()))
                 differences = [f"{path}: not part of the export, written anew" for path in missing]
+            if name in {entry.name for entry in published()}:
+                raise RunMismatchError(
+                    f"{name} is a published release, and this is another one: {differences[0]}",
+                    hint="import under another name: --name NAME",
+                    name=name,
+                )
             if name != source.manifest.name:
                 differences.insert(0, f"the name is {name}, not {source.manifest.name}")
             release = seal(
@@ -120,8 +127,7 @@ def import_release(
                 root,
                 _description(source.manifest, name),
                 list(written),
-                fingerprint=dict(source.manifest.fingerprint),
-                plan_sha256=source.manifest.plan_sha256,
+                fingerprint=dict(source.manifest.fingerprint),  # no plan makes these bytes: it would count as done
             )
         return Imported(release, source.manifest, tuple(differences), tuple(source.notes()))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from rema_data.loader.decode import map_rows, row_bytes
 from rema_data.loader.record import has_digests
 from rema_data.loader.release import Release
 from rema_data.release.folder import ReleaseFolder
-from rema_data.release.registry import SAMPLE
+from rema_data.release.registry import SAMPLE, load_published, published
 
 __all__ = ["NEEDED_PER_S", "Diagnosis", "diagnose"]
 
@@ -169,7 +170,7 @@ def _advice(
                 f"the decoded cache of {release.name} needs {size / 1e9:.1f} GB, {state.free_bytes / 1e9:.1f} GB are "
                 f"free at {state.path}: set REMA_HOME to a larger disk, or use rema_data.load(..., cache='memory')"
             )
-    for name in sorted({item.release for item in found if item.state == PARTIAL}):
+    for name in sorted({_published_with(item.release) for item in found if item.state == PARTIAL}):
         yield f"a download of {name} is not finished: rema download {name}"
     wasted = sum(item.bytes for item in found if item.state not in (READY, PARTIAL))
     if wasted:
@@ -185,6 +186,16 @@ def _advice(
             f"float32 batches come slower than {NEEDED_PER_S:,.0f} samples a second: take quantised ones and convert "
             "them on the device with batch.to(device).float()"
         )
+
+
+def _published_with(holder: str) -> str:
+    """The published release that has files in a folder of releases: ``rema download`` knows no other name."""
+    names = [entry.name for entry in published()]
+    for name in () if holder in names else names:
+        with suppress(RemaError):
+            if any(file.holder == holder for file in load_published(name).files):
+                return name
+    return holder
 
 
 def _decoded_bytes(release: ReleaseState) -> int:

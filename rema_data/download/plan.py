@@ -12,7 +12,8 @@ from rema_data.download.part import SUFFIX
 from rema_data.download.sources import Source
 from rema_data.errors import StorageError
 from rema_data.release.folder import ReleaseFolder
-from rema_data.release.manifest import FileEntry
+from rema_data.release.manifest import MANIFEST, FileEntry
+from rema_data.release.seal import file_sha256
 
 __all__ = ["BlockPlan", "Plan", "check_space", "make_plan"]
 
@@ -98,9 +99,18 @@ def _may_have(source: Source, entries: list[FileEntry]) -> bool:
 
 
 def make_plan(release: ReleaseFolder, files: Iterable[FileEntry]) -> Plan:
-    """What has to be done for ``files`` of a release."""
+    """What has to be done for ``files`` of a release.
+
+    A file counts by its size once the manifest lies beside it, which is written last. Before that, what is there may
+    have come with another release of the name: it counts by its sha256.
+    """
     wanted = tuple(files)
-    return Plan(wanted, tuple(entry for entry in wanted if not release.has(entry)))
+    checked = (release.path / MANIFEST).is_file()
+
+    def here(entry: FileEntry) -> bool:
+        return release.has(entry) and (checked or file_sha256(release.file(entry)) == entry.sha256)
+
+    return Plan(wanted, tuple(entry for entry in wanted if not here(entry)))
 
 
 def check_space(root: Path, plan: Plan) -> None:

@@ -20,8 +20,8 @@ __all__ = ["observation", "read_episode"]
 def observation(maps: MapArrays, scene_row: int, ee_row: int) -> Observation:
     """What was observed, from its rows in the cache."""
     return Observation(
-        maps.scene[scene_row].astype("uint16"),
-        maps.ee_depth[ee_row].astype("uint16"),
+        maps.scene[scene_row].clip(0).astype("uint16"),  # edited maps may lie below the table, and the record may not
+        maps.ee_depth[ee_row].clip(0).astype("uint16"),
         unpack_mask(maps.ee_mask[ee_row]),
     )
 

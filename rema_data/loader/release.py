@@ -177,20 +177,21 @@ class Release:
         """
         (block,) = self.manifest.select([task], [round], split)
         self.folder.require([block])
-        if not 0 <= index < block.episodes:
-            raise InputError(
-                f"block {block.key.path} has no episode {index}",
-                hint=f"its episodes are 0 to {block.episodes - 1}",
-                episode=index,
-            )
         from rema_data.loader.episodes import read_episode
 
         if self._tables is None or self._tables[0] != block.key:
             reader = self.folder.block(block)
             self._tables = (block.key, reader.episodes(), reader.steps())
         _, episodes, steps = self._tables
+        numbers = episodes["episode"].to_pylist()
+        if index not in numbers:  # of an import from which some were deleted there are gaps
+            raise InputError(
+                f"block {block.key.path} has no episode {index}",
+                hint=f"its episodes are {len(numbers):,} of 0 to {numbers[-1]}",
+                episode=index,
+            )
         first = sum(other.steps for other in self.blocks[: self.blocks.index(block)])
-        return read_episode(episodes, steps, index, self.cache, first)
+        return read_episode(episodes, steps, numbers.index(index), self.cache, first)
 
     def __repr__(self) -> str:
         counts = self.manifest.counts

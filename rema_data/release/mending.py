@@ -114,7 +114,8 @@ def mend_manifest(path: Path) -> str:
     root, name = path.resolve().parents[1], path.resolve().parent.name
     known = name in {entry.name for entry in published()}
     if known and _is_downloads(root):
-        return f"rema verify {name} --repair"
+        # Without its manifest a download is taken up where it is; and the name may lead to a copy elsewhere.
+        return f"rm {shlex.quote(str(path))}, and go on with its download: rema download {name}"
     command = _from_known_place(root, (f"{name}/{MANIFEST}",), known)
     return command or f"copy {path} again from where the release came from"
 

@@ -80,6 +80,13 @@ def register(manifest: Manifest) -> Path:
     InputError
         A release of that name with other content is published already: it can never change.
     """
+    from filelock import FileLock  # only who publishes needs it
+
+    with FileLock(_folder() / ".index.json.lock"):  # held for milliseconds: wait for it
+        return _register(manifest)
+
+
+def _register(manifest: Manifest) -> Path:
     folder = _folder()
     entries = published() if (folder / "index.json").exists() else ()
     path = folder / f"{manifest.name}.json"

@@ -130,7 +130,8 @@ class _Verification:
         if STEPS in tables:
             self.scenes.add(str(reader.folder / STEPS), block.split, tables[STEPS])
         if len(tables) == 2:
-            check_tables(block, tables[EPISODES], tables[STEPS], map_rows, report)
+            gaps = not self.release.manifest.plan_sha256  # what a plan has collected is complete
+            check_tables(block, tables[EPISODES], tables[STEPS], map_rows, report, gaps=gaps)
 
     def add(self, reader: BlockReader, kind: str, file: str, where: str, detail: str) -> None:
         """Report something in the contents of a block whose bytes are the sealed ones."""

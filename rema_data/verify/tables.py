@@ -35,7 +35,13 @@ TablesReport = Callable[[str, str, str, str], None]
 
 
 def check_tables(
-    entry: BlockEntry, episodes: pa.Table, steps: pa.Table, map_rows: dict[str, int], report: TablesReport
+    entry: BlockEntry,
+    episodes: pa.Table,
+    steps: pa.Table,
+    map_rows: dict[str, int],
+    report: TablesReport,
+    *,
+    gaps: bool = False,
 ) -> None:
     """Check the tables of a block.
 
@@ -47,14 +53,20 @@ def check_tables(
     map_rows : dict of str to int
         Rows of the map arrays that could be read.
     report : callable
+    gaps : bool
+        Whether episodes may be missing, as in an import from which some were deleted: those that stay keep their
+        numbers, which with the seed say how they were drawn.
     """
-    _Check(entry, episodes, steps, report).run(map_rows)
+    _Check(entry, episodes, steps, report, gaps).run(map_rows)
 
 
 class _Check:
     """One block while it is checked."""
 
-    def __init__(self, entry: BlockEntry, episodes: pa.Table, steps: pa.Table, report: TablesReport) -> None:
+    def __init__(
+        self, entry: BlockEntry, episodes: pa.Table, steps: pa.Table, report: TablesReport, gaps: bool
+    ) -> None:
+        self.gaps = gaps
         self.entry = entry
         self.kinds = TASKS[entry.task]
         self.episodes = episodes
@@ -199,11 +211,14 @@ class _Check:
         return np.asarray(np.arange(self.steps.num_rows) - np.repeat(self.first, self.length))
 
     def structure(self) -> bool:
-        """Episodes count from 0, and their steps follow each other without a gap."""
+        """Episodes count from 0, or with gaps at least upwards, and their steps follow each other without a gap."""
         impossible = (self.length < 1) | (self.length > len(self.kinds))
         self.flag("episodes", EPISODES, impossible, f"steps is not 1 to {len(self.kinds)}")
         number = _numbers(self.episodes, "episode")
-        self.flag("episodes", EPISODES, number != np.arange(len(number)), "episodes do not count from 0")
+        if self.gaps:
+            self.flag("episodes", EPISODES, np.diff(number, prepend=-1) < 1, "episodes do not count upwards")
+        else:
+            self.flag("episodes", EPISODES, number != np.arange(len(number)), "episodes do not count from 0")
         if impossible.any():
             return False
         if self.length.sum() != self.steps.num_rows:
@@ -212,7 +227,7 @@ class _Check:
             return False
         started = _numbers(self.episodes, "first_step") != self.first
         self.flag("episodes", EPISODES, started, "first_step is not where the episode before it ends")
-        owner = np.repeat(np.arange(len(self.length)), self.length)
+        owner = np.repeat(number, self.length)
         strangers = (self.step("episode") != owner) | (self.step("step") != self.position)
         self.flag("episodes", STEPS, strangers, "episode and step are not those that episodes.parquet has for the row")
         return not strangers.any()

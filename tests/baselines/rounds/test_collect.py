@@ -353,6 +353,14 @@ def test_a_parent_that_cannot_be_used_is_refused(tmp_path: Path) -> None:
     plan = write_plan(tmp_path, CHILD)
     with pytest.raises(InputError, match="lie in tiny-parent, which is not in"):
         collect_fake(plan, tmp_path / "elsewhere")
+    (tmp_path / "elsewhere" / "tiny-parent").mkdir(parents=True)
+    with pytest.raises(InputError, match="or not whole") as caught:
+        collect_fake(plan, tmp_path / "elsewhere")
+    assert caught.value.hint == f"collect beside it: --output {tmp_path}"
+    shutil.rmtree(tmp_path / "elsewhere")
+    make_release(tmp_path / "elsewhere", "tiny-parent", tasks=("grasp",), episodes=5, seed=9)
+    with pytest.raises((InputError, RunMismatchError), match="not that of tiny-parent|not whole"):
+        collect_fake(plan, tmp_path / "elsewhere")
     text = CHILD.replace("reuse = true\n", "reuse = true\n[[rounds]]\nreuse = true\n")
     with pytest.raises(InputError, match="has no round 2"):
         collect_fake(write_plan(tmp_path, text), tmp_path)

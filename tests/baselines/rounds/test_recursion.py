@@ -114,6 +114,8 @@ def written(folder: Path, *changes: tuple[str, str]) -> Path:
     ("change", "words"),
     [
         (('name = "tiny-recursion"', 'nom = "x"'), "nom is not a key"),
+        (('name = "tiny-recursion"', ""), "name: '' cannot name a release"),
+        (('name = "tiny-recursion"', 'name = "../x"'), "'../x' cannot name a release"),
         (("tiny-recursion/round-1", "tiny-recursion/round-2"), "no earlier round trains"),
         (("tiny-recursion/round-1", "elsewhere/round-1"), "no earlier round trains"),
         (("updates = 20", "epochs = 20"), "a training has no epochs"),

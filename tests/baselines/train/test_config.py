@@ -38,6 +38,7 @@ def test_a_configuration_survives_json() -> None:
         ({"tasks": ["push"]}, "no grasp step"),
         ({"skills": ["push"]}, "skill push"),
         ({"updates": 0}, "updates"),
+        ({"seed": 2**64}, "seed"),
         ({"updates": 1.5}, "updates"),
         ({"learning_rate": 0.0}, "learning_rate"),
         ({"learning_rate": float("nan")}, "learning_rate"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from baselines.train.config import TrainingConfig
 from baselines.train.data import open_data, prepared
 from evaluator.scenarios import load_list
 from rema_data.augment import Augment
-from rema_data.errors import InputError, IntegrityError
+from rema_data.errors import InputError, IntegrityError, MissingFileError
 from rema_data.loader.batch import StepBatch
 from rema_data.release.seal import Description, seal
 from rema_data.schema import Episode, Situation
@@ -90,6 +91,18 @@ def test_one_skill_of_two_without_a_success(tmp_path: Path) -> None:
         open_data(release, TrainingConfig("push", ("push", "grasp_push")))
     data = open_data(release, TrainingConfig("push", ("push", "grasp_push"), on_empty="renormalise"))
     assert len(next(iter(data.sampler))) == 8
+
+
+@pytest.mark.parametrize("content", [None, b"PAR1"])
+def test_nothing_is_trained_where_nobody_can_tell_what_is_tested(
+    release: rema_data.Release, config: TrainingConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: Any
+) -> None:
+    (tmp_path / "scenarios" / "v1").mkdir(parents=True)
+    if content is not None:
+        (tmp_path / "scenarios" / "v1" / "push_test.parquet").write_bytes(content)
+    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path))
+    with pytest.raises((MissingFileError, IntegrityError), match="no scenario lists|push_test.parquet cannot be read"):
+        open_data(release, config)
 
 
 def test_a_scenario_that_is_tested_is_never_trained_on(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from baselines.tae.checkpoint import load_checkpoint, networks_in
 from baselines.train import loop
 from baselines.train.config import TrainingConfig
 from baselines.train.loop import DivergedError, train, trained
-from rema_data.errors import InputError, MissingFileError, RunMismatchError
+from rema_data.errors import InputError, IntegrityError, MissingFileError, RunMismatchError
 from tests.baselines.train.conftest import tree
 
 ROOT = Path(__file__).parents[3]
@@ -80,13 +80,17 @@ def test_interrupted_and_resumed_to_the_same_weights(
     assert not done.already and tree(tmp_path) == tree(undisturbed)
 
 
+@pytest.mark.parametrize("damage", ["weights", "card"])
 def test_a_damaged_state_is_not_trusted(
-    release: rema_data.Release, config: TrainingConfig, undisturbed: Path, tmp_path: Path
+    release: rema_data.Release, config: TrainingConfig, undisturbed: Path, tmp_path: Path, damage: str
 ) -> None:
     with pytest.raises(Interruption):
         train(release, config, tmp_path, "grasp", report=interrupted_at(5))
     (state,) = (tmp_path / ".grasp.training").glob("*.safetensors")
-    state.write_bytes(state.read_bytes()[:-1])
+    if damage == "weights":
+        state.write_bytes(state.read_bytes()[:-1])
+    else:
+        state.with_suffix(".json").write_text("{}")
     train(release, config, tmp_path, "grasp")
     assert tree(tmp_path) == tree(undisturbed)
 
@@ -101,6 +105,20 @@ def test_a_finished_training_is_not_repeated(
     other = dataclasses.replace(config, seed=1)
     with pytest.raises(RunMismatchError, match="another training"):
         train(release, other, tmp_path, "grasp")
+    (tmp_path / "grasp.json").write_text("{")
+    with pytest.raises(IntegrityError, match="is not JSON") as caught:
+        train(release, config, tmp_path, "grasp")
+    assert caught.value.hint.startswith(f"delete it to train it again: rm -f {tmp_path / 'grasp.json'}")
+
+
+def test_a_training_is_not_taken_up_by_other_code(
+    release: rema_data.Release, config: TrainingConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(Interruption):
+        train(release, config, tmp_path, "grasp", report=interrupted_at(5))
+    monkeypatch.setattr(loop, "source_digest", lambda package: "0" * 64)
+    with pytest.raises(RunMismatchError, match="code differ"):
+        train(release, config, tmp_path, "grasp")
 
 
 def test_a_state_of_another_training_is_refused(

@@ -12,9 +12,12 @@ import pytest
 
 from rema_data.convert import export_release, import_release
 from rema_data.errors import InputError, RunMismatchError, StorageError
+from rema_data.loader.release import Release
 from rema_data.release.folder import ReleaseFolder, find_release
+from rema_data.release.registry import register
 from rema_data.store.block import BlockKey, BlockReader
 from rema_data.testing import make_release
+from rema_data.verify import verify
 from tests.rema_data.convert.conftest import files
 
 TASK = "grasp_grasp_push"
@@ -128,6 +131,34 @@ def test_episodes_that_were_deleted_are_missing(export: Path, release: ReleaseFo
         for name, column in (("scene", "scene_row"), ("ee_depth", "ee_row"), ("ee_mask", "ee_row")):
             one = reader.maps().read(name, row[column], row[column] + 1)
             assert np.array_equal(one, original.maps().read(name, before[column], before[column] + 1))
+
+
+def test_what_is_left_of_a_block_keeps_its_numbers_and_is_whole(export: Path, tmp_path: Path) -> None:
+    def delete(file: h5py.File) -> None:
+        for n in (0, 4, 9):
+            del file[f"data/demo_{n}"]
+
+    imported = import_release([changed(export, delete)], tmp_path / "back")
+    assert imported.release.manifest.plan_sha256 == ""  # or the plan would count as carried out
+    assert verify(imported.release).ok
+    release = Release(imported.release, cache=tmp_path / "cache")
+    assert release.episode(1, TASK, "train", 5).index == 5
+    with pytest.raises(InputError, match="no episode 4") as caught:
+        release.episode(1, TASK, "train", 4)
+    assert "7 of 0 to 8" in caught.value.hint
+
+
+def test_a_published_name_is_not_given_to_something_else(
+    release: ReleaseFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    export_release(release, tmp_path / "export", tasks=["grasp"])
+    (tmp_path / "manifests" / "datasets").mkdir(parents=True)
+    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
+    register(release.manifest)
+    with pytest.raises(RunMismatchError, match="tiny is a published release, and this is another one") as caught:
+        import_release([tmp_path / "export"], tmp_path / "back")
+    assert "--name" in caught.value.hint and list((tmp_path / "back").iterdir()) == []
+    assert import_release([tmp_path / "export"], tmp_path / "back", "mine").release.path.name == "mine"
 
 
 def test_a_block_without_episodes_is_left_out(export: Path, tmp_path: Path) -> None:

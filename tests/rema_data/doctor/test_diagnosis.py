@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shutil
 from importlib import metadata
@@ -13,7 +14,7 @@ from rema_data.doctor import diagnose, diagnosis
 from rema_data.doctor.speed import Speed
 from rema_data.doctor.versions import package_versions
 from rema_data.release.folder import ReleaseFolder
-from rema_data.release.registry import register
+from rema_data.release.registry import load_published, register
 from rema_data.testing import make_release
 from tests.rema_data.verify.damage import flip
 
@@ -112,3 +113,15 @@ def test_advice(machine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     slow[0] = Speed("quantised", 8, 100.0)
     text = "\n".join(diagnose(0.01).advice)
     assert "set REMA_HOME to a local disk" in text and "float32 batches" not in text
+
+
+def test_a_part_of_a_round_is_fetched_with_the_release_that_has_it(
+    machine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A folder of releases may hold rounds that are not published by themselves."""
+    tiny = load_published("tiny")
+    files = tuple(dataclasses.replace(file, holder="tiny-round-1") for file in tiny.files)
+    monkeypatch.setattr(diagnosis, "load_published", lambda name: dataclasses.replace(tiny, files=files))
+    (machine / "home" / "releases" / "tiny-round-1").mkdir()
+    (machine / "home" / "releases" / "tiny-round-1" / "x.part").touch()
+    assert "a download of tiny is not finished: rema download tiny" in diagnose(0).advice

@@ -16,6 +16,7 @@ import pytest
 from rema_data.download import download
 from rema_data.errors import InputError, IntegrityError, MissingFileError, RunMismatchError, StorageError
 from rema_data.release.folder import downloads_folder
+from rema_data.release.manifest import MANIFEST
 from rema_data.release.registry import register
 from rema_data.store.block import BlockKey
 from rema_data.testing import make_release
@@ -192,6 +193,19 @@ def test_another_release_of_the_same_name_is_in_the_way(publish: Publish) -> Non
     with pytest.raises(RunMismatchError, match="another release of the name tiny") as caught:
         download("tiny", sources=[tiny.folder])
     assert "mv " in caught.value.hint and fetched() == {}
+
+
+def test_what_came_with_another_release_of_the_name_is_fetched_anew(publish: Publish) -> None:
+    """A download that was stopped has no manifest yet, and a file of the same size may be another one's."""
+    tiny = publish()
+    download("tiny", sources=[tiny.folder])
+    whole = fetched()
+    (downloads_folder() / "tiny" / MANIFEST).unlink()
+    card = downloads_folder() / "tiny" / "DATASHEET.md"
+    card.chmod(0o644)
+    card.write_bytes(bytes(len(card.read_bytes())))
+    report = download("tiny", sources=[tiny.folder])
+    assert report.fetched_files == 1 and fetched() == whole
 
 
 def test_progress_counts_bytes(publish: Publish) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,13 @@ def test_registering_again_changes_nothing(places: Path, tiny: ReleaseFolder) ->
     index = (places / "manifests" / "datasets" / "index.json").read_bytes()
     register(tiny.manifest)
     assert (places / "manifests" / "datasets" / "index.json").read_bytes() == index
+
+
+def test_no_entry_is_lost_between_several_that_register(places: Path, tiny: ReleaseFolder) -> None:
+    others = [dataclasses.replace(tiny.manifest, name=f"tiny-{n}") for n in range(12)]
+    with ThreadPoolExecutor(6) as pool:
+        list(pool.map(register, others))
+    assert {entry.name: entry.sha256 for entry in published()} == {one.name: one.sha256 for one in others}
 
 
 def test_other_content_under_a_published_name_is_refused(places: Path, tiny: ReleaseFolder) -> None:
