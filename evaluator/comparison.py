@@ -214,9 +214,15 @@ def _remarks(a: ScoredRun, b: ScoredRun, n: int, lost: int) -> list[str]:
         found.append(f"The runs differ in length: only the {n:,} scenarios that both played are compared.")
     if lost:
         found.append(
-            f"{lost:,} scenarios are left out: the infrastructure lost them in one of the runs. The difference could "
+            f"{lost:,} scenarios are left out: they have no result in one of the runs. The difference could "
             f"be {100 * lost / n:.2g} points larger or smaller."
         )
+    for run in (a, b):
+        if run.unfinished:
+            found.append(
+                f"{run.source}: {run.unfinished:,} of its episodes were not finished. Those that were need be no fair "
+                "sample: in a run that was stopped, failures of the policy are counted before anything is simulated."
+            )
     if a.stopped_early or b.stopped_early:
         found.append("A run was stopped early because of its outcomes: its interval and p value are too optimistic.")
     for run in (a, b):

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from evaluator.evidence.header import read_header
+from evaluator.evidence.header import read_header, resume_command
 from evaluator.evidence.lock import locked
 from evaluator.records import ANSWERS, OUTCOMES, Journal, Ledger, Records, read_journal
 from evaluator.runner.audit import audit_summary, repeats
@@ -25,7 +25,7 @@ from evaluator.runner.plan import Plan
 from evaluator.runner.simulate import check_infrastructure
 from evaluator.runner.tally import unfinished
 from evaluator.scenarios import ScenarioList, load_list
-from rema_data.errors import InputError, RunMismatchError
+from rema_data.errors import InfrastructureError, InputError, RunMismatchError
 from rema_data.storage import storage_errors
 
 __all__ = ["merge_runs"]
@@ -94,7 +94,13 @@ def merge_runs(parts: Sequence[Path], output: Path) -> EvaluationResult:
         with _staged(output) as staging, RunFolder.locked(staging, identity, episodes) as folder:
             _copy_records(found, folder)
             summary, records = _finish(folder, plan, scenarios, found)
-        check_infrastructure(records, summary, output)
+        try:
+            check_infrastructure(records, summary, output)
+        except InfrastructureError as error:
+            if not records.contradictions:
+                command = resume_command(read_header(output)[0], output)
+                error.hint = f"evaluate into the merged run, which tries them once more: {command}"
+            raise
         return EvaluationResult(output, summary)
 
 
@@ -113,7 +119,7 @@ def _distinct(parts: Sequence[Path]) -> list[Path]:
 def _opened(path: Path) -> Iterator[_Part]:
     """A part that nobody is writing in meanwhile."""
     header, _ = read_header(path)
-    with locked(path, "wait for it"):
+    with locked(path, "wait for it", only_reading=True):
         yield _Part(RunFolder(path, header))
 
 
@@ -213,6 +219,13 @@ def _finish(
         tables = write_tables(folder, plan, scenarios, ledger)
         if left := unfinished(plan, tables.episodes):
             raise _incomplete(left, len(plan.scenarios), parts)
+        for part in parts:
+            if "seal" not in part.header:
+                raise InputError(
+                    f"{part.path} has no seal: it was stopped before its audit and its tables were done",
+                    hint=f"finish it: {resume_command(part.header, part.path)}",
+                    path=str(part.path),
+                )
         summary = seal_run(folder, plan, ledger, tables, _audit(folder, plan, ledger))
     return summary, ledger
 

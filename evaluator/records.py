@@ -1,6 +1,7 @@
 """What a run has on disk while it goes on: append-only JSON lines, one segment file a process that wrote.
 
-``answers-0001.jsonl`` holds what the policy answered, ``outcomes-0001.jsonl`` what the simulator did with it. A process
+``answers-0001.jsonl`` holds what the policy answered, ``outcomes-0001.jsonl`` which action the simulator carried out
+and what came of it: an outcome counts only beside the answer that it belongs to. A process
 that was killed leaves at most one torn line at the end of its segments; the next process starts segments of its own.
 A line is ``[checksum,{...}]``: a digit that changed on the disk must not become a result.
 """
@@ -140,7 +141,10 @@ def read_journal(folder: Path, name: str) -> Iterator[tuple[int, dict[str, Any]]
         A line other than a torn last one is damaged.
     """
     for path in sorted(folder.glob(f"{name}-*.jsonl")):
-        segment = int(path.stem.rpartition("-")[2])
+        number_of_segment = path.stem.removeprefix(f"{name}-")
+        if not number_of_segment.isdecimal():
+            continue  # somebody's copy
+        segment = int(number_of_segment)
         *lines, torn = path.read_bytes().split(b"\n")
         for number, line in enumerate(lines, 1):
             try:
@@ -225,7 +229,10 @@ class Ledger(Records):
             self._keep_answer(Answered(**row, segment=number))
         for number, row in read_journal(folder, OUTCOMES):
             fields = dict(row)
-            error, outcome = fields.pop("error"), fields.pop("outcome")
+            error, outcome, action = fields.pop("error"), fields.pop("outcome"), fields.pop("action", None)
+            answer = self.answers.get((row["index"], row["step"]))
+            if action is not None and (answer is None or answer.action != action):
+                continue  # of an answer whose line was lost: the policy was, or will be, asked again
             record = outcome_from_dict(outcome) if error is None else InfraError(**error)
             self._keep_outcome(Simulated(**fields, outcome=record, segment=number))
         self._answers = Journal(folder, ANSWERS, segment)
@@ -248,6 +255,7 @@ class Ledger(Records):
                 {
                     "index": record.index,
                     "step": record.step,
+                    "action": self._action(record),
                     "outcome": None if failed else content,
                     "error": content if failed else None,
                     "seconds": round(record.seconds, 6),
@@ -256,6 +264,10 @@ class Ledger(Records):
                 }
             )
         self._outcomes.append(rows)
+
+    def _action(self, record: Simulated) -> int | None:
+        answer = self.answers.get((record.index, record.step))
+        return None if answer is None else answer.action
 
     def close(self) -> None:
         """Sync and close the journals."""

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.policy.loading import BUILT_INS
+from evaluator.policy.loading import BUILT_INS, NAME_LENGTH
 from evaluator.protocol import PROTOCOLS
 from evaluator.scenarios import SPLITS
 from rema_data.errors import InputError, IntegrityError, MissingFileError
@@ -21,7 +21,6 @@ from rema_data.schema import TASKS
 __all__ = ["Audit", "Counts", "FunnelStep", "Marks", "Outcomes", "ScoredRun", "acting_steps", "read_run"]
 
 _FIELDS = ("task", "policy", "protocol", "eligible", "successes", "policy_errors", "infra_errors", "failures")
-_NAME_LENGTH = 80
 _AGAIN = "evaluate the policy again: the same command writes both files from the records"
 
 
@@ -195,7 +194,7 @@ def read_run(folder: Path) -> ScoredRun:
         raise MissingFileError(f"{folder} holds no finished run", hint=hint, path=str(path))
     try:
         run = _from_summary(json.loads(path.read_text(encoding="utf-8")), folder)
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
         hint = "evaluate the policy again"
         raise InputError(f"{path} is not the summary of a run: {error}", hint=hint, path=str(path)) from error
     return _with_outcomes(run, folder / "episodes.parquet")
@@ -210,8 +209,8 @@ def _from_summary(summary: dict[str, Any], folder: Path) -> ScoredRun:
     if summary["protocol"] not in PROTOCOLS:
         raise ValueError(f"of unknown protocol {summary['protocol']!r}")
     name, split = str(summary["policy"]), str(summary.get("split", SPLITS[0]))
-    if not name or len(name) > _NAME_LENGTH or not name.isprintable():
-        raise ValueError(f"with the policy name {name[:_NAME_LENGTH]!r}")
+    if not name or len(name) > NAME_LENGTH or not name.isprintable():
+        raise ValueError(f"with the policy name {name[:NAME_LENGTH]!r}")
     eligible, lost = int(summary["eligible"]), int(summary["infra_errors"])
     successes = int(summary["successes"])
     if not 0 <= successes <= eligible or lost < 0:
@@ -229,7 +228,7 @@ def _from_summary(summary: dict[str, Any], folder: Path) -> ScoredRun:
             policy_digest=str(summary.get("policy_digest") or ""),
             protocol_hash=str(summary.get("protocol_hash") or ""),
             scenarios_hash=str(summary.get("scenarios_hash") or ""),
-            fingerprint=summary.get("fingerprint"),
+            fingerprint=None if summary.get("fingerprint") is None else dict(summary["fingerprint"]),
         ),
         stopped_early=bool(summary.get("stopped_early")),
         unfinished=int(summary.get("unfinished") or 0),
@@ -264,15 +263,20 @@ def _with_outcomes(run: ScoredRun, path: Path) -> ScoredRun:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    from evaluator.episodes import episodes_schema
     from evaluator.runner.tally import tally
 
     if not path.is_file():
         return run
     try:
         table = pq.read_table(path)
+        schema = episodes_schema(run.task)
+        for name in ("index", "success", "failure", "infra_error"):
+            if table.schema.field(name).type != schema.field(name).type:
+                raise ValueError(f"column {name} is {table.schema.field(name).type}, not {schema.field(name).type}")
         found = counts_of(tally(table, acting_steps(run.task, run.protocol)))
         success, numbers = table["success"].to_pylist(), table["index"].to_pylist()
-    except (pa.ArrowException, KeyError, OSError, ValueError) as error:
+    except (pa.ArrowException, KeyError, OSError, TypeError, ValueError) as error:
         reason = str(error).splitlines()[0]
         raise IntegrityError(f"{path} cannot be read: {reason}", hint=_AGAIN, path=str(path)) from error
     if not numbers or None in numbers or numbers != sorted(set(numbers)) or numbers[0] < 0:

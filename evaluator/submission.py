@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +15,7 @@ from evaluator.evidence.header import isolation_level
 from evaluator.leaderboard.published import published_table
 from evaluator.leaderboard.row import TAGS
 from evaluator.policy.loading import BUILT_INS, OWN_PREFIX
+from evaluator.runner.tally import same_numbers
 from evaluator.scenarios import VERSION
 from evaluator.scored import ScoredRun, acting_steps, read_run
 from rema_data.errors import IntegrityError, SubmissionError
@@ -40,7 +40,6 @@ _RANKING = (
 _DIGESTS = ("policy_digest", "protocol_hash", "scenarios_hash")
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _VERSIONS = ("rema", "python", "numpy", "pybullet", "torch", "openvino")
-_TOLERANCE = 1e-9
 _SHOWN = 200
 
 
@@ -172,22 +171,11 @@ def _statistics(run: ScoredRun, evidence: Evidence) -> Iterator[Check]:
     summary = evidence.summary or {}
     for name, wanted in tally(evidence.table, acting_steps(run.task, run.protocol)).items():
         found = summary.get(name)
-        yield Check(f"summary.json {name}", _same(found, wanted), str(wanted)[:_SHOWN], str(found)[:_SHOWN])
+        yield Check(f"summary.json {name}", same_numbers(found, wanted), str(wanted)[:_SHOWN], str(found)[:_SHOWN])
     names = evidence.table["scenario"].to_pylist()
     first = f"{VERSION}/{run.task}/{run.split}/"
     wrong = next((f"row {row} is {name}" for row, name in enumerate(names) if name != f"{first}{row:05d}"), "")
     yield Check("episodes.parquet scenario", not wrong, f"{first}00000 and so on", wrong or "ok")
-
-
-def _same(found: Any, wanted: Any) -> bool:
-    """Equal, but for the last bits of a fraction that another machine may round otherwise."""
-    if isinstance(wanted, float) and isinstance(found, int | float) and not isinstance(found, bool):
-        return math.isclose(found, wanted, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE)
-    if isinstance(wanted, dict) and isinstance(found, dict):
-        return wanted.keys() == found.keys() and all(_same(found[name], wanted[name]) for name in wanted)
-    if isinstance(wanted, Sequence) and not isinstance(wanted, str) and isinstance(found, list):
-        return len(wanted) == len(found) and all(map(_same, found, wanted))
-    return type(found) is type(wanted) and bool(found == wanted)
 
 
 def _provenance(header: Mapping[str, Any]) -> dict[str, Any]:

@@ -33,7 +33,7 @@ def proof(path: Path, episode: int | None, root: str | None, as_json: bool) -> N
         raise MissingFileError(f"there is no proof at {path}", hint="check the path", path=str(path))
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path} is not JSON: {error}", hint="make one: rema proof RUN --episode N") from error
     row = check_proof(content, str(root))
     if as_json:

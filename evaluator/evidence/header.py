@@ -58,6 +58,7 @@ def read_header(folder: Path) -> tuple[dict[str, Any], bytes]:
             header["format"] == RUN_FORMAT
             and _FIELDS.keys() <= header.keys() <= every.keys()
             and all(isinstance(value, every[name]) for name, value in header.items())
+            and all(isinstance(segment, dict) for segment in header["segments"])
         )
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         known = False
@@ -90,5 +91,9 @@ def resume_command(header: dict[str, Any], folder: Path) -> str:
     devices = [segment["device"] for segment in header["segments"] if isinstance(segment.get("device"), str)]
     if devices:
         words += ["--device", devices[-1]]
+    for option in ("shard", "batch_size"):
+        noted = {str(segment[option]) for segment in header["segments"] if segment.get(option) is not None}
+        if len(noted) == 1:  # a merged run has several shards, and goes on as a whole
+            words += [f"--{option.replace('_', '-')}", *noted]
     words += ["--episodes", str(header["episodes"]), "--output", str(folder)]
     return shlex.join(words)

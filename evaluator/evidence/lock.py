@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,11 +15,14 @@ from rema_data.storage import storage_errors
 __all__ = ["being_written", "locked"]
 
 _LOCK_FILE = ".lock"
+_NOT_WRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS)
 
 
 @contextmanager
-def locked(folder: Path, hint: str) -> Iterator[None]:
+def locked(folder: Path, hint: str, *, only_reading: bool = False) -> Iterator[None]:
     """Hold a run folder for this process alone.
+
+    Where nothing may be written nobody else writes either: who is ``only_reading`` goes on without the lock.
 
     Raises
     ------
@@ -28,7 +32,11 @@ def locked(folder: Path, hint: str) -> Iterator[None]:
     lock = FileLock(folder / _LOCK_FILE, timeout=0)
     try:
         with storage_errors(folder):
-            lock.acquire()
+            try:
+                lock.acquire()
+            except OSError as error:
+                if not (only_reading and error.errno in _NOT_WRITABLE):
+                    raise
     except Timeout as error:
         raise InputError(f"another process is writing in {folder}", hint=hint, path=str(folder)) from error
     try:

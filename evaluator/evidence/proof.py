@@ -77,7 +77,7 @@ def check_proof(proof: Any, root: str) -> dict[str, Any]:
             raise ValueError(f"its format is {proof['format']!r}")
         row, position, count = dict(proof["row"]), int(proof["position"]), int(proof["episodes"])
         path = [bytes.fromhex(node) for node in proof["path"]]
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(
             f"this is not the proof of an episode: {error}", hint="make one: rema proof RUN --episode N"
         ) from error

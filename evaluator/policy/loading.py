@@ -11,7 +11,7 @@ from pathlib import Path
 from evaluator.policy.imports import own_modules
 from rema_data.errors import InputError, MissingFileError
 
-__all__ = ["BUILT_INS", "OWN_PREFIX", "PolicySpec", "check_checkpoint", "digest", "resolve"]
+__all__ = ["BUILT_INS", "NAME_LENGTH", "OWN_PREFIX", "PolicySpec", "check_checkpoint", "digest", "resolve"]
 
 BUILT_INS: dict[str, str] = {
     "random": "random_policy.py:RandomPolicy",
@@ -26,6 +26,8 @@ BUILT_INS: dict[str, str] = {
 OWN_PREFIX = "tae-"
 """Names that begin like this are those of the learned baselines."""
 _DEFAULT_CLASS = "Policy"
+NAME_LENGTH = 80
+"""Most characters of a policy's name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +77,12 @@ def resolve(reference: str) -> PolicySpec:
     name = stem if class_name == _DEFAULT_CLASS else f"{stem}-{class_name}"
     if stem in BUILT_INS or name.startswith(OWN_PREFIX):
         name = name.replace(stem, f"{stem}.py", 1)  # a stranger's random.py must not pass for the built-in
+    if len(name) > NAME_LENGTH:
+        raise InputError(
+            f"the policy's name {name!r} has {len(name)} characters, more than {NAME_LENGTH}",
+            hint="give its file or its class a shorter name",
+            reference=reference,
+        )
     return PolicySpec(name, path.resolve(), class_name)
 
 

@@ -14,7 +14,7 @@ from evaluator.evidence.check import Evidence, Finding, row_name
 from evaluator.evidence.header import RUN_FILE
 from evaluator.evidence.seal import ACTIONS_FILE, EPISODES_FILE, SUMMARY_FILE
 from evaluator.runner.plan import Plan
-from evaluator.runner.tally import tally, unfinished
+from evaluator.runner.tally import same_numbers, tally, unfinished
 from evaluator.scenarios import ScenarioList, load_list
 from rema_data import grid
 from rema_data.errors import RunMismatchError
@@ -84,7 +84,7 @@ def statistics_findings(evidence: Evidence, plan: Plan) -> Iterator[Finding]:
     for source, content in ((EPISODES_FILE, rows), (RUN_FILE, header)):
         for name, value in json.loads(json.dumps(content)).items():
             said = evidence.summary.get(name)
-            if said != value:
+            if not same_numbers(said, value):
                 detail = f"says {shortened(said)}, {source} gives {shortened(value)}"
                 yield Finding(SUMMARY_FILE, name, detail)
 

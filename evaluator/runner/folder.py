@@ -21,6 +21,7 @@ __all__ = ["RunFolder"]
 
 TIMINGS_FILE = "timings.parquet"
 _LOG_FILE = "policy.log"
+_RESULTS = (EPISODES_FILE, SUMMARY_FILE)
 _FILES = (RUN_FILE, EPISODES_FILE, ACTIONS_FILE, LEAVES_FILE, TIMINGS_FILE, SUMMARY_FILE, _LOG_FILE, SIGNATURE_FILE)
 
 
@@ -38,6 +39,7 @@ class RunFolder:
         self.path = path
         self.header = header
         self._begun = False
+        self._episodes = int(header["episodes"])
 
     @property
     def records(self) -> Path:
@@ -64,8 +66,8 @@ class RunFolder:
     def locked(path: Path, identity: Mapping[str, Any], episodes: int) -> Iterator[RunFolder]:
         """Open the folder of a run for this process alone, creating it where it is missing.
 
-        A folder without records belongs to nobody: it is taken over. What a killed process left half-written is
-        swept away.
+        A folder without records and results belongs to nobody: it is taken over. What a killed process left
+        half-written is swept away.
 
         Parameters
         ----------
@@ -93,9 +95,9 @@ class RunFolder:
 
     def _check(self, identity: Mapping[str, Any], episodes: int) -> None:
         wanted = json.loads(json.dumps(dict(identity)))
-        if not any(self.records.glob("*.jsonl")):
+        if not any(self.records.glob("*.jsonl")) and not any((self.path / name).exists() for name in _RESULTS):
             # Nothing was recorded (the policy did not import, say): what comes now may be another run.
-            self.header.update(identity=wanted, policy={}, episodes=0)
+            self.header.update(identity=wanted, policy={}, episodes=episodes, segments=[])
         for field, value in wanted.items():
             recorded = self.header["identity"].get(field)
             if recorded != value:
@@ -118,13 +120,14 @@ class RunFolder:
                 recorded=self.header["episodes"],
                 wanted=episodes,
             )
-        self.header["episodes"] = episodes
+        self._episodes = episodes  # in the header once more are played: until then its seal holds
 
     def begin_segment(self, **facts: Any) -> None:
         """Note in ``run.json`` that this process is about to write; once. A summary of before is none any more."""
         if self._begun:
             return
         (self.path / SUMMARY_FILE).unlink(missing_ok=True)
+        self.header["episodes"] = self._episodes
         self.header["segments"].append({"number": self.segment, **environment(), **facts})
         self._begun = True
         self.save()

@@ -83,7 +83,8 @@ def quick_evaluation(
             hint=f"compare the two: rema compare {config.output} {against}; or choose another folder with --output",
             path=str(config.output),
         )
-    for episodes in _lengths(max(FIRST_LOOK, recorded), config.episodes):
+    last = min(config.episodes, max(len(theirs.played), recorded))  # beyond that there is nothing to compare with
+    for episodes in _lengths(min(max(FIRST_LOOK, recorded), last), last):
         result = run_evaluation(
             replace(config, episodes=episodes, audit_share=0.0), progress, backend=backend, look=look
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any
@@ -12,7 +13,9 @@ from evaluator.runner.plan import Plan
 from evaluator.statistics import wilson
 from rema_data.schema import Failure
 
-__all__ = ["tally", "unfinished"]
+__all__ = ["same_numbers", "tally", "unfinished"]
+
+_TOLERANCE = 1e-9
 
 
 def tally(table: pa.Table, steps: Sequence[int]) -> dict[str, Any]:
@@ -64,6 +67,17 @@ def _funnel(table: pa.Table, step: int) -> dict[str, Any]:
         "rate": passed / len(outcomes) if outcomes else None,
         "infra_errors": lost,
     }
+
+
+def same_numbers(found: Any, wanted: Any) -> bool:
+    """Equal, but for the last bits of a fraction that another machine, or another scipy, may round otherwise."""
+    if isinstance(wanted, float) and isinstance(found, int | float) and not isinstance(found, bool):
+        return math.isclose(found, wanted, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE)
+    if isinstance(wanted, dict) and isinstance(found, dict):
+        return wanted.keys() == found.keys() and all(same_numbers(found[name], wanted[name]) for name in wanted)
+    if isinstance(wanted, Sequence) and not isinstance(wanted, str) and isinstance(found, list):
+        return len(wanted) == len(found) and all(map(same_numbers, found, wanted))
+    return type(found) is type(wanted) and bool(found == wanted)
 
 
 def unfinished(plan: Plan, table: pa.Table) -> int:

@@ -17,7 +17,7 @@ from evaluator.runner.tally import tally
 from evaluator.scored import read_run
 from evaluator.statistics import detectable_difference, midp_mcnemar, pair_table, paired_interval
 from evaluator.submission import make_entry
-from rema_data.errors import InputError, MissingFileError
+from rema_data.errors import InputError, IntegrityError, MissingFileError
 
 from .runs import EPISODES, solved, write_manifests, write_run
 
@@ -144,6 +144,27 @@ def test_lost_episodes_are_left_out_and_named(tmp_path: Path, a: Path) -> None:
     assert found.table == pair_table(A, B, ~lost)
     assert not {3, 40, 41} & {*found.only_a, *found.only_b}
     assert any(remark.startswith("3 scenarios are left out") for remark in found.remarks)
+
+
+def test_a_run_that_was_stopped_is_no_fair_sample(tmp_path: Path, a: Path) -> None:
+    other = write_run(tmp_path / "b", B, unfinished=12)
+    found = compare(read_run(a), read_run(other))
+    assert any("12 of its episodes were not finished" in remark for remark in found.remarks)
+
+
+@pytest.mark.parametrize("changes", [{"eligible": float("inf")}, {"fingerprint": "abc"}])
+def test_a_summary_that_is_none_is_refused(tmp_path: Path, changes: dict[str, object]) -> None:
+    with pytest.raises(InputError, match="is not the summary of a run"):
+        read_run(write_run(tmp_path / "b", B, **changes))
+
+
+def test_a_table_of_other_types_is_refused(b: Path) -> None:
+    table = pq.read_table(b / "episodes.parquet")
+    place = table.column_names.index("success")
+    texts = pa.array([str(value) for value in table["success"].to_pylist()])
+    pq.write_table(table.set_column(place, "success", texts), b / "episodes.parquet")
+    with pytest.raises(IntegrityError, match="column success is string, not bool"):
+        read_run(b)
 
 
 def test_a_run_without_its_table_cannot_be_paired(a: Path, b: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import shutil
 from collections.abc import Iterable
@@ -30,7 +31,6 @@ def cut(whole: Path, part: Path, indices: Iterable[int], shard: str) -> Path:
     chosen = set(indices)
     part.mkdir(parents=True)
     header = json.loads((whole / "run.json").read_text())
-    del header["seal"]
     for segment in header["segments"]:
         segment["shard"] = shard
     (part / "run.json").write_text(json.dumps(header))
@@ -217,3 +217,26 @@ def test_divided_runs(task: str, fake_home: Path) -> None:
         merge_runs(folders[1:], fake_home / "merged")
     merge_runs(folders, fake_home / "merged")
     assert table(fake_home / "merged") == table(fake_home / "whole")
+
+
+def test_a_part_that_was_stopped_before_its_end(parts: list[Path], fake_home: Path) -> None:
+    """All its scenarios have results, but what is repeated was not."""
+    header = json.loads((parts[1] / "run.json").read_text())
+    del header["seal"]
+    (parts[1] / "run.json").write_text(json.dumps(header))
+    with pytest.raises(InputError, match="part2 has no seal") as caught:
+        merge_runs(parts, fake_home / "merged")
+    assert "--shard 2/3 --batch-size 16" in caught.value.hint and not (fake_home / "merged").exists()
+
+
+def test_parts_on_a_disk_that_may_not_be_written(
+    parts: list[Path], fake_home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(lock: FileLock) -> None:
+        if Path(lock.lock_file).parent in parts:
+            raise OSError(errno.EROFS, "Read-only file system", lock.lock_file)
+        acquire(lock)
+
+    acquire = FileLock._acquire
+    monkeypatch.setattr(FileLock, "_acquire", refuse)
+    assert merge_runs(parts, fake_home / "merged").summary["unfinished"] == 0

@@ -68,6 +68,19 @@ def test_a_changed_digit_is_an_error(tmp_path: Path, name: str, old: bytes, new:
         Ledger(tmp_path, 2)
 
 
+def test_an_outcome_counts_only_beside_the_answer_that_it_belongs_to(tmp_path: Path) -> None:
+    """An answer whose line was deleted, because it was damaged, may come out otherwise when it is given again."""
+    fill(tmp_path, [0, 1, 2])
+    path = tmp_path / "answers-0001.jsonl"
+    path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[1:]))
+    (tmp_path / "answers-0001-backup.jsonl").write_text("of the user's")
+    again = Ledger(tmp_path, 2)
+    assert sorted(again.outcomes) == [(1, 0), (2, 0)]
+    again.add_answers([Answered(0, 0, 41_000)])
+    again.close()
+    assert again.result(0, 0) is None and sorted(Ledger(tmp_path, 3).outcomes) == [(1, 0), (2, 0)]
+
+
 def test_second_outcome_is_compared(tmp_path: Path) -> None:
     fill(tmp_path, [0])
     ledger = Ledger(tmp_path, 2)

@@ -98,3 +98,12 @@ def test_the_digest_of_a_learned_baseline_covers_its_network() -> None:
     names = {path.name for path in own_modules(resolve("tae").path)}
     assert {"network.py", "scoring.py", "correlation.py"} <= names
     assert "schema.py" not in names
+
+
+def test_a_name_that_no_table_shows(tmp_path: Path) -> None:
+    path = tmp_path / f"{'long' * 12}.py"
+    path.write_text("")
+    assert resolve(str(path)).name == "long" * 12
+    with pytest.raises(InputError, match="more than 80") as caught:
+        resolve(f"{path}:{'Class' * 8}")
+    assert "shorter name" in caught.value.hint

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 import subprocess
@@ -153,6 +154,13 @@ def test_a_false_statistic_is_found_though_it_is_sealed_anew(copy_of: Copy) -> N
     found = {finding.where: finding.detail for finding in play(run, fraction=0).findings}
     assert set(found) == {"success_rate", "policy"}
     assert found["success_rate"].startswith("says 0.99, episodes.parquet gives 0.")
+
+
+def test_the_last_bits_of_an_interval_are_another_machines(copy_of: Copy) -> None:
+    run = copy_of("short")
+    ends = json.loads((run / "summary.json").read_text())["ci95"]
+    seal_anew(run, pq.read_table(run / "episodes.parquet"), ci95=[math.nextafter(end, 1) for end in ends])
+    assert play(run, fraction=0).findings == ()
 
 
 def test_an_action_that_may_not_be_taken_is_found(copy_of: Copy) -> None:

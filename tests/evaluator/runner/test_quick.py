@@ -53,6 +53,12 @@ def test_an_equal_policy_is_looked_at_to_the_end_and_stays_undecided(tmp_path: P
     assert summary["stopped_early"]["verdict"] == "undecided" and summary["stopped_early"]["pairs"] == 200
 
 
+def test_nothing_is_played_that_has_nothing_to_be_compared_with(tmp_path: Path, fake_home: Path) -> None:
+    short = run_evaluation(fake_config(tmp_path / "short", engine="inline", episodes=60), backend=fake_backend()).folder
+    summary = look(tmp_path / "equal", short, FakeSimulator)
+    assert summary["episodes"] == summary["stopped_early"]["pairs"] == 60
+
+
 def test_the_run_goes_on_without_a_look_and_is_whole_then(tmp_path: Path, reference: Path) -> None:
     look(tmp_path / "worse", reference, Clumsy)
     assert look(tmp_path / "worse", reference, Clumsy)["episodes"] == FIRST_LOOK  # the same look again plays no more

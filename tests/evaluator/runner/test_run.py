@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from filelock import FileLock
 from evaluator.parts import Part
 from evaluator.runner import run_evaluation
 from evaluator.runner.environment import source_digest
+from evaluator.runner.folder import RunFolder
 from rema_data.errors import (
     InfrastructureError,
     InputError,
@@ -112,6 +114,25 @@ def test_more_episodes_extend_a_run(fake_home: Path) -> None:
     assert table(fake_home / "run") == table(fake_home / "whole")
     with pytest.raises(RunMismatchError, match="episodes are 300"):
         run(fake_home / "run", episodes=200)
+
+
+def test_a_run_that_is_not_extended_after_all_keeps_its_seal(fake_home: Path) -> None:
+    """Asked for more by mistake, and stopped before anything was played."""
+    first = run(fake_home / "run", episodes=100)
+    before = (fake_home / "run" / "run.json").read_bytes()
+    with pytest.raises(KeyboardInterrupt), RunFolder.locked(fake_home / "run", json.loads(before)["identity"], 300):
+        raise KeyboardInterrupt
+    assert (fake_home / "run" / "run.json").read_bytes() == before
+    assert run(fake_home / "run", episodes=100) == first
+
+
+def test_results_without_records_are_not_taken_over(fake_home: Path) -> None:
+    run(fake_home / "run")
+    shutil.rmtree(fake_home / "run" / "records")
+    before = {path.name: path.read_bytes() for path in (fake_home / "run").iterdir() if path.is_file()}
+    with pytest.raises(RunMismatchError, match="the policy has changed since"):
+        run_evaluation(fake_config(fake_home / "run"), backend=fake_backend(digest="other"))
+    assert {path.name: path.read_bytes() for path in (fake_home / "run").iterdir() if path.is_file()} == before
 
 
 def test_conditional_summary(fake_home: Path) -> None:
