@@ -10,12 +10,15 @@ from click.testing import CliRunner
 
 from benchmarks.leaderboard import END, PAGE, START, replace_section, section
 from evaluator.cli.main import VERBS, cli
+from evaluator.eligibility import obstacles
 from evaluator.entry import encode, find_entries, read_entry
 from evaluator.submission import make_entry
 from rema_data.errors import InputError
+from rema_data.schema import TASKS
 from tests.evaluator.runs import solved, write_manifests, write_run
 
 ENTRIES = Path(__file__).resolve().parents[2] / "manifests" / "leaderboard"
+POLICIES = ("random", "scripted", "tae-separate", "tae-joint")
 
 
 def test_every_entry_of_the_repository_is_whole_and_the_only_one_of_its_name() -> None:
@@ -29,6 +32,17 @@ def test_every_entry_of_the_repository_is_whole_and_the_only_one_of_its_name() -
 def test_the_table_of_the_readme_is_made_from_the_entries() -> None:
     text = PAGE.read_text(encoding="utf-8")
     assert replace_section(text, section()) == text
+
+
+def test_the_board_has_the_four_rows_of_the_papers_table_in_every_task() -> None:
+    """Conditional, and from the first step on where there is more than one; each over the whole list, and ranked."""
+    tasks = [task for task in TASKS if task != "grasp_grasp_push"]  # which the paper does not score
+    wanted = {(policy, task, "conditional") for policy in POLICIES for task in tasks}
+    wanted |= {(policy, task, "end-to-end") for policy in POLICIES for task in tasks if len(TASKS[task]) > 1}
+    runs = {(run.policy, run.task, run.protocol): run for run in (read_entry(path).run for path in find_entries())}
+    assert wanted <= runs.keys()
+    for key in wanted:
+        assert runs[key].counts.episodes == 10_000 and obstacles(runs[key]) == [], key
 
 
 def test_a_section_has_every_ranked_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
