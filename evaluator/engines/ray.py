@@ -190,7 +190,7 @@ class RayEngine:
     def _dispatch(self, source: Iterator[Shard]) -> bool:
         """Give work to the actors that have little, start those that there is work for; whether any is under way."""
         for seat in self._seats:
-            while seat.ready and len(seat.calls) < _DEPTH and (shard := self._next_shard(source)):
+            while self._has_room(seat) and (shard := self._next_shard(source)):
                 seat.calls.append((seat.actor.run.remote(shard), shard))
         starting = sum(not seat.ready for seat in self._seats)
         while len(self._seats) < self.workers and time.monotonic() >= self._may_start:
@@ -202,6 +202,18 @@ class RayEngine:
             self._start()
             starting += 1
         return bool(self._waiting) or any(seat.calls for seat in self._seats)
+
+    def _has_room(self, seat: _Seat) -> bool:
+        """Whether an actor takes another shard. Who was lost before runs alone: the next one may take the actor with
+        it before the result of the first has been sent, and that one would be given up.
+        """
+        if not seat.ready or not seat.calls:
+            return seat.ready
+        alone = self._was_lost(seat.calls[-1][1]) or bool(self._waiting and self._was_lost(self._waiting[0]))
+        return len(seat.calls) < _DEPTH and not alone
+
+    def _was_lost(self, shard: Shard) -> bool:
+        return any(job.key in self._losses for job in shard)
 
     def _next_shard(self, source: Iterator[Shard]) -> Shard | None:
         return self._waiting.popleft() if self._waiting else next(source, None)

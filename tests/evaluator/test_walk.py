@@ -3,33 +3,29 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
+import pytest
+from click.testing import CliRunner
+
+from evaluator.cli.main import cli
 from tests.evaluator.report.conftest import EPISODES, write_push_list
 
 ROOT = Path(__file__).parents[2]
 
 
-def test_a_policy_of_ones_own_comes_onto_the_board(tmp_path: Path) -> None:
+def test_a_policy_of_ones_own_comes_onto_the_board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_push_list(tmp_path / "manifests")
     shutil.copytree(ROOT / "manifests" / "published", tmp_path / "manifests" / "published")
     shutil.copy(ROOT / "examples" / "my_policy.py", tmp_path)
-    environment = {
-        **os.environ,
-        "PYTHONPATH": str(ROOT),
-        "REMA_HOME": str(tmp_path / "home"),
-        "REMA_MANIFESTS": str(tmp_path / "manifests"),
-    }
+    monkeypatch.setenv("REMA_HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
+    monkeypatch.chdir(tmp_path)
 
     def rema(*words: str) -> str:
-        command = [sys.executable, "-m", "evaluator.cli", *words]
-        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        assert "build time" not in done.stderr  # what PyBullet says when it is imported
+        done = CliRunner().invoke(cli, words, prog_name="rema")
+        assert done.exit_code == 0, done.stderr
         return done.stdout
 
     for policy in ("my_policy.py", "random"):
