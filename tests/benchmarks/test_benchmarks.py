@@ -42,6 +42,7 @@ def page(tmp_path: Path) -> str:
     return output.read_text(encoding="utf-8")
 
 
+@pytest.mark.benchmark
 def test_same_cases_have_the_same_outcomes_under_other_histories(tmp_path: Path) -> None:
     words = ("--episodes", "3", "--others", "4", "--tasks", "grasp,grasp_push")
     content = measured(tmp_path, "determinism", *words)
@@ -50,6 +51,7 @@ def test_same_cases_have_the_same_outcomes_under_other_histories(tmp_path: Path)
     assert "## Determinism of the world" in page(tmp_path)
 
 
+@pytest.mark.benchmark
 def test_the_shortcut_is_compared_with_simulation(tmp_path: Path) -> None:
     content = measured(tmp_path, "shortcuts", "--episodes", "40", "--tasks", "grasp,push", "--workers", "1")
     assert content["numbers"]["grasp random shortcut"] > 0
@@ -67,16 +69,19 @@ def test_speed_and_its_page(tmp_path: Path) -> None:
     assert content["machine"]["pybullet"] in text
 
 
+@pytest.mark.benchmark
 def test_memory(tmp_path: Path) -> None:
     content = measured(tmp_path, "memory", "--episodes", "20", "--engine-episodes", "60")
     assert content["numbers"]["two_workers_mb"] > 0
 
 
+@pytest.mark.benchmark
 def test_isolation_is_measured(tmp_path: Path) -> None:
     content = measured(tmp_path, "isolation", "--episodes", "64", "--distinct", "16", "--repeats", "1")
     assert content["targets"]
 
 
+@pytest.mark.benchmark
 def test_a_page_is_written_and_measured(tmp_path: Path) -> None:
     words = ("--task", "push", "--episodes", "20", "--per-label", "0", "--repeats", "1")
     content = measured(tmp_path, "report_page", *words)

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from .test_benchmarks import measured
 
 
+@pytest.mark.benchmark
 def test_a_killed_judge_leaves_the_same_bytes(tmp_path: Path) -> None:
     words = ("--kills", "1", "--episodes", "40", "--batch-size", "4")
     numbers = measured(tmp_path, "kills", *words)["numbers"]

@@ -22,6 +22,7 @@ def test_the_straightforward_way_computes_the_same() -> None:
     torch.testing.assert_close(looped(features, kernels), cross_convolve(features, kernels))
 
 
+@pytest.mark.benchmark
 def test_training(tmp_path: Path) -> None:
     words = ("--release", "rema-sample", "--updates", "1", "--repeats", "1", "--primitives", "push")
     (found,) = measured(tmp_path, "train", *words, REMA_HOME=str(tmp_path / "home"))["numbers"]["found"]
@@ -29,6 +30,7 @@ def test_training(tmp_path: Path) -> None:
     assert 0 < found["waits"]["ours"][0] < 1
 
 
+@pytest.mark.benchmark
 def test_inference(tmp_path: Path) -> None:
     small = Architecture(width=8)
     for name in ("grasp", "push"):

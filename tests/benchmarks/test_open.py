@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.benchmarks.test_benchmarks import measured
 
 
+@pytest.mark.benchmark
 def test_opening(tmp_path: Path) -> None:
     numbers = measured(tmp_path, "open", "--steps", "300", "--repeats", "1")["numbers"]
     assert numbers["counts"]["steps"] >= 300

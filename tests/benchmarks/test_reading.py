@@ -17,6 +17,7 @@ def release(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(made.path)
 
 
+@pytest.mark.benchmark
 def test_reading_against_others(tmp_path: Path, release: str) -> None:
     """The script stops where a reader delivers other values than the loader."""
     words = (
@@ -71,6 +72,7 @@ def test_all_readers_deliver_the_same(tmp_path: Path, release: str) -> None:
     assert measured(tmp_path, "read", *words)["numbers"]["absent"] == {}
 
 
+@pytest.mark.benchmark
 def test_size(tmp_path: Path, release: str) -> None:
     content = measured(tmp_path, "size", "--release", release)
     tasks = content["numbers"]["tasks"]

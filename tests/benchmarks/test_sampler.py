@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.benchmarks.test_benchmarks import measured
 
 
+@pytest.mark.benchmark
 def test_sampler(tmp_path: Path) -> None:
     words = ("--rows", "4000", "--large-rows", "5000", "--indices", "8192", "--repeats", "1")
     numbers = measured(tmp_path, "sampler", *words)["numbers"]
