@@ -220,7 +220,7 @@ def _remarks(a: ScoredRun, b: ScoredRun, n: int, lost: int) -> list[str]:
     for run in (a, b):
         if run.unfinished:
             found.append(
-                f"{run.source}: {run.unfinished:,} of its episodes were not finished. Those that were need be no fair "
+                f"{run.source}: {run.unfinished:,} of its episodes were not finished. The others need not be a fair "
                 "sample: in a run that was stopped, failures of the policy are counted before anything is simulated."
             )
     if a.stopped_early or b.stopped_early:

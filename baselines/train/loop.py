@@ -118,6 +118,7 @@ class _Training:
         self.best: dict[str, Any] | None = None
         self.best_weights: dict[str, Tensor] = {}
         self.seconds = 0.0
+        self.code = {name: source_digest(name) for name in _CODE}
         self.threads = {torch.get_num_threads()}  # equal weights need equal sums, which the threads cut in parts
 
     @property
@@ -126,7 +127,7 @@ class _Training:
             "training": self.config.to_dict(),
             "release": self.release.fingerprint,
             "device": self.device.type,
-            "code": {name: source_digest(name) for name in _CODE},
+            "code": self.code,
         }
 
     def go(self, save_every: int) -> Trained:

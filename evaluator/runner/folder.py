@@ -155,6 +155,7 @@ class RunFolder:
 
     def seal(self, files: Mapping[str, bytes], *, root: bytes, steps: Sequence[int], unfinished: int) -> None:
         """Put a seal over ``run.json`` and ``files``, which are written already; see ``make_seal``."""
+        self.header["episodes"] = self._episodes
         self.header["seal"] = make_seal(self.header, files, root=root, steps=steps, unfinished=unfinished)
         self.save()
 
