@@ -51,7 +51,7 @@ done
 python benchmarks/ablation.py --output runs/ablation --device cuda --json $results/ablation.json
 python benchmarks/baselines.py --maps --runs runs/*
 python benchmarks/calibration_report.py --runs runs/{random,scripted}-*-conditional
-python benchmarks/full_run.py --runs runs/{random,scripted}-*-conditional --json $results/full_run.json
+python benchmarks/full_run.py --tasks grasp,push --json $results/full_run.json
 for run in runs/{random,scripted,tae-separate,tae-joint}-*; do
   entry="manifests/leaderboard/$(basename "$run").json" # an entry that is there already is of another run of the same
   [ -e "$entry" ] || rema submit "$run" --output "$entry"
@@ -61,7 +61,7 @@ python benchmarks/command_line.py
 python benchmarks/train.py --tried --json $results/train.json
 python benchmarks/train.py --device cuda --batches 8,32,128,512,2048 --updates 8 --json $results/train_cuda.json # on a GPU
 python benchmarks/infer.py --checkpoint releases/checkpoints/rema-v0/joint --runtimes --json $results/infer.json
-python benchmarks/half_precision.py --checkpoint releases/checkpoints/rema-v0/joint --json $results/half_precision.json
+python benchmarks/half_precision.py --checkpoint releases/checkpoints/rema-v0/joint --scenarios 250 --json $results/half_precision.json
 
 python benchmarks/isolation.py --run runs/random-grasp-conditional --json $results/isolation.json
 python benchmarks/kills.py --json $results/kills.json
