@@ -141,10 +141,10 @@ def read_journal(folder: Path, name: str) -> Iterator[tuple[int, dict[str, Any]]
         A line other than a torn last one is damaged.
     """
     for path in sorted(folder.glob(f"{name}-*.jsonl")):
-        number_of_segment = path.stem.removeprefix(f"{name}-")
-        if not number_of_segment.isdecimal():
+        digits = path.stem.removeprefix(f"{name}-")
+        if not digits.isdecimal():
             continue  # somebody's copy
-        segment = int(number_of_segment)
+        segment = int(digits)
         *lines, torn = path.read_bytes().split(b"\n")
         for number, line in enumerate(lines, 1):
             try:

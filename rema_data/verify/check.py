@@ -8,7 +8,7 @@ from functools import partial
 
 import pyarrow as pa
 
-from rema_data.errors import RemaError
+from rema_data.errors import IntegrityError, RemaError
 from rema_data.manifests import manifests_dir
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import BlockEntry
@@ -152,8 +152,8 @@ class _Verification:
         for path in lists:
             try:
                 frozen.update(read_frozen(path))
-            except _UNREADABLE as error:
-                self.findings.add("table", str(path), str(error), mend="git checkout -- manifests/scenarios")
+            except IntegrityError as error:
+                self.findings.add("table", str(path), error.message, mend="git checkout -- manifests/scenarios")
             self.progress.advance(1)
         self.scenes.check(
             frozen,

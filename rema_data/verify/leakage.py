@@ -13,6 +13,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from rema_data.errors import IntegrityError
+from rema_data.manifests import RESTORE
 from rema_data.schema import Shape
 from rema_data.verify.rows import rows_of
 
@@ -89,8 +91,20 @@ def frozen_lists(folder: Path) -> list[Path]:
 
 
 def read_frozen(path: Path) -> dict[bytes, str]:
-    """Scenes of all steps of a frozen list, each with the name of its scenario: ``VERSION/TASK/SPLIT/INDEX``."""
-    table = pq.read_table(path)
+    """Scenes of all steps of a frozen list, each with the name of its scenario: ``VERSION/TASK/SPLIT/INDEX``.
+
+    Raises
+    ------
+    IntegrityError
+        It cannot be read.
+    """
+    try:
+        return _scenes_of(path, pq.read_table(path))
+    except (pa.ArrowException, ValueError, KeyError, OSError) as error:
+        raise IntegrityError(f"{path} cannot be read: {error}", hint=RESTORE, path=str(path)) from error
+
+
+def _scenes_of(path: Path, table: pa.Table) -> dict[bytes, str]:
     task, _, split = path.stem.rpartition("_")
     names = [f"{path.parent.name}/{task}/{split}/{index:05d}" for index in table["index"].to_pylist()]
     found: dict[bytes, str] = {}

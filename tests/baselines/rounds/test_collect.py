@@ -34,6 +34,7 @@ from rema_data.store.tables import outcome_of, situation_of
 from rema_data.testing import make_release
 from tests.baselines.rounds.fakes import collect_fake, tree, write_plan
 from tests.evaluator.fakes import FakePolicyProcess, FakeSimulator, fake_backend, fake_fingerprint, fake_observe
+from tests.rema_data.verify.damage import flip
 
 pytestmark = pytest.mark.usefixtures("quick_fingerprint")
 
@@ -358,9 +359,11 @@ def test_a_parent_that_cannot_be_used_is_refused(tmp_path: Path) -> None:
         collect_fake(plan, tmp_path / "elsewhere")
     assert caught.value.hint == f"collect beside it: --output {tmp_path}"
     shutil.rmtree(tmp_path / "elsewhere")
-    make_release(tmp_path / "elsewhere", "tiny-parent", tasks=("grasp",), episodes=5, seed=9)
-    with pytest.raises((InputError, RunMismatchError), match="not that of tiny-parent|not whole"):
+    shutil.copytree(tmp_path / "tiny-parent", tmp_path / "elsewhere" / "tiny-parent")
+    flip(tmp_path / "elsewhere" / "tiny-parent" / "round-1" / "grasp" / "train" / "steps.parquet", 100)
+    with pytest.raises(RunMismatchError, match="not that of tiny-parent") as other:
         collect_fake(plan, tmp_path / "elsewhere")
+    assert other.value.hint == f"collect beside that release: --output {tmp_path}"
     text = CHILD.replace("reuse = true\n", "reuse = true\n[[rounds]]\nreuse = true\n")
     with pytest.raises(InputError, match="has no round 2"):
         collect_fake(write_plan(tmp_path, text), tmp_path)
