@@ -52,6 +52,8 @@ from rema_data.statistics.plot import plot_rounds
 PAGE = ROOT / "docs" / "baselines.md"
 LARGER = ROOT / "manifests" / "plans" / "rema-v1.toml"
 """The plan whose cost is projected."""
+ABLATIONS = ("ablation", "ablation_cpu")
+"""Results of ``ablation.py``: trained on a GPU, and on a CPU."""
 TITLE = """# The learned baselines
 
 Made by `python benchmarks/baselines.py` from run files, checkpoints and releases; the commands of every number stand
@@ -103,11 +105,10 @@ def draw_sheet(plan: RecursionPlan, path: Path) -> None:
 
 
 def ablation() -> list[str]:
-    """What the success after round 1 depends on, where that was measured."""
-    path = RESULTS / "ablation.json"
-    if not path.is_file():
-        return []
-    return ["## What round 1 depends on", "\n".join(measured(json.loads(path.read_text(encoding="utf-8"))))]
+    """What the success after round 1 depends on, as far as that was measured."""
+    found = [path for name in ABLATIONS if (path := RESULTS / f"{name}.json").is_file()]
+    tables = ["\n".join(measured(json.loads(path.read_text(encoding="utf-8")))) for path in found]
+    return ["## What round 1 depends on", *tables] if tables else []
 
 
 def page(plan: RecursionPlan, images: Path) -> str:

@@ -48,7 +48,11 @@ for task in $tasks; do
   rema evaluate tae --checkpoint $networks/round-3 --task $task --device openvino \
     --output runs/round-3-$task-conditional
 done
-python benchmarks/ablation.py --output runs/ablation --device cuda --json $results/ablation.json
+python benchmarks/ablation.py --output runs/ablation --device cuda --ways as-planned,not-turned,not-turned-slower \
+  --json $results/ablation.json
+ways=as-planned,another-seed,300-updates,1000-updates,balanced-on-average,wrong-labels,finer-cells,displaced
+OMP_NUM_THREADS=1 python benchmarks/ablation.py --output runs/ablation-cpu --ways $ways --episodes 2000 \
+  --json $results/ablation_cpu.json
 python benchmarks/baselines.py --maps --runs runs/*
 python benchmarks/calibration_report.py --runs runs/{random,scripted}-*-conditional
 python benchmarks/full_run.py --tasks grasp,push --json $results/full_run.json
