@@ -164,7 +164,10 @@ def page(plan: RecursionPlan, images: Path) -> str:
         comparison.remarks[-1],
         "## What the recursion costs",
         costs_table(plan),
-        "Noted by `rema rounds` on the machine that did it; a stage that was interrupted counts its last run only. "
+        "Noted by `rema rounds` on the machine that did it; a stage that was interrupted counts its last run only. The "
+        "collection of round 1 was timed when it was done again, alone: `rema rounds manifests/plans/rema-v0.toml "
+        "--stages 1 --output FOLDER` gave the same episodes and maps as the release has. Random actions are quick: most "
+        "of them touch nothing, and need no simulation. "
         "Networks of one round were trained two at a time, each on one core, while other work ran on the same two "
         "cores: the sum is more than what one after the other takes alone.",
         f"The same for {LARGER.relative_to(ROOT)}, by the minutes of an episode, or an update, of the stage above:",
