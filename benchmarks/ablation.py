@@ -49,7 +49,7 @@ class Way:
     options : tuple of str
         Of ``rema train``, on top of the plan's; later ones win.
     wrong_labels : float
-        Share of the labels that are turned round before training, 0..1.
+        Share of the labels of the training split that are turned round before training, 0..1.
     policy : str
         What is scored with the network.
     trained : str or None
@@ -74,7 +74,7 @@ WAYS = {
     "300-updates": Way("300 updates", ("--updates", "300")),
     "1000-updates": Way("1,000 updates", ("--updates", "1000")),
     "balanced-on-average": Way("balanced on average, not in every minibatch", ("--balance", "average")),
-    "wrong-labels": Way("1 % of the labels wrong", wrong_labels=0.01),
+    "wrong-labels": Way("1 % of the labels it is trained on wrong", wrong_labels=0.01),
     "finer-cells": Way("features at 9 mm instead of 18", ("--scene-stride", "2", "--ee-stride", "2")),
     "corners": Way("upsampling without aligned corners", ("--no-up-align-corners",)),
     "displaced": Way(
@@ -98,10 +98,11 @@ def training_command(way: Way, device: str) -> list[str]:
 
 
 def mislabelled(release: Release, share: float) -> Release:
-    """The release with a share of its labels turned round, in memory only: those of the same steps every time."""
-    index = release.cache.index
+    """The release with a share of its training labels turned round, in memory only: of the same steps every time."""
+    index, train_split = release.cache.index, release.cache.categories["split"].index("train")
+    wrong = np.random.default_rng(0).random(len(index)) < share
     index.setflags(write=True)
-    index["success"] ^= np.random.default_rng(0).random(len(index)) < share
+    index["success"] ^= wrong & (index["split"] == train_split)
     index.setflags(write=False)
     return release
 
