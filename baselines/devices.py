@@ -37,26 +37,33 @@ def training_device(name: str) -> torch.device:
     except (RuntimeError, AssertionError, NotImplementedError, ImportError) as error:
         what = "OpenVINO answers, but cannot train" if name == _OPENVINO else (str(error).splitlines() or [""])[0]
         raise InputError(
-            f"no training on the device {name!r} here: {what}", hint=f"use one of: {', '.join(_usable())}", device=name
+            f"the device {name!r} cannot be used here: {what}", hint=f"use one of: {', '.join(_usable())}", device=name
         ) from error
     return device
 
 
 def check_players(blocks: Iterable[BlockPlan], where: str) -> None:
-    """Raise where a learned policy of some blocks is to compute with OpenVINO, which is not installed.
+    """Raise where a learned policy of some blocks is to compute on a device that is not there.
 
     Raises
     ------
     InputError
     """
     for block in blocks:
-        asked = any(use.device == _OPENVINO and use.spec.name in LEARNED for use in block.policies)
-        if asked and find_spec(_OPENVINO) is None:
-            raise InputError(
-                f"{where}: rounds[{block.key.round}] is played on the device openvino, and OpenVINO is not installed",
-                hint='pip install "rema[openvino]", or write device = "cpu": slower, the same answers up to rounding',
-                round=block.key.round,
-            )
+        played = f"{where}: rounds[{block.key.round}] is played on the device"
+        for device in {use.device for use in block.policies if use.spec.name in LEARNED}:
+            if device != _OPENVINO:
+                try:
+                    training_device(device)
+                except InputError as error:
+                    raise InputError(f"{played} {device}: {error.message}", hint=error.hint, device=device) from error
+            elif find_spec(_OPENVINO) is None:
+                raise InputError(
+                    f"{played} openvino, and OpenVINO is not installed",
+                    hint='pip install "rema[openvino]", or write device = "cpu": slower, the same answers up to '
+                    "rounding",
+                    round=block.key.round,
+                )
 
 
 def _usable() -> list[str]:

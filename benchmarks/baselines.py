@@ -166,7 +166,7 @@ def page(plan: RecursionPlan, images: Path) -> str:
         costs_table(plan),
         "Noted by `rema rounds` on the machine that did it; a stage that was interrupted counts its last run only. The "
         "collection of round 1 was timed when it was done again, alone: `rema rounds manifests/plans/rema-v0.toml "
-        "--stages 1 --output FOLDER` gave the same episodes and maps as the release has. Random actions are quick: most "
+        "--stages 1 --output FOLDER` gave the same episodes and maps as the release has. Random grasps are quick: most "
         "of them touch nothing, and need no simulation. "
         "Networks of one round were trained two at a time, each on one core, while other work ran on the same two "
         "cores: the sum is more than what one after the other takes alone.",

@@ -16,7 +16,7 @@ from typing import Protocol
 from baselines.devices import check_players, training_device
 from baselines.rounds.collect import collect
 from baselines.rounds.notes import PLAYERS, STAGES, note
-from baselines.rounds.recursion_plan import NetworkPlan, RecursionPlan, RoundPlan
+from baselines.rounds.recursion_plan import NetworkPlan, RecursionPlan, RoundPlan, networks_folder
 from baselines.rounds.sealed import check_sealed, players_of
 from baselines.train.loop import Report, train, trained
 from evaluator.policy.shipped import CHECKPOINTS, publish_checkpoint
@@ -96,16 +96,17 @@ def recurse(
     ------
     RemaError
         As ``collect`` and ``train``; what is finished stays.
-    InputError
-        A device of the trainings, or of a round that is to be played, is not there: before anything is done.
+    InputError, MissingFileError
+        A device of the trainings, or of a round that is to be played, is not there; or a round that is reused, or
+        networks that are to play, of another recursion: before anything is done.
     RunMismatchError
         A release or a network of that name is there, made by another plan: see ``check_sealed`` and ``trained`` for
         what is compared.
     """
     recursion = _Recursion(plan, releases, watcher, workers, device)
     for entry in plan.rounds:
-        if entry.collection is not None and not (releases / entry.release / MANIFEST).is_file():
-            check_players(plan.outline(entry.number).blocks, str(plan.path))
+        if not (releases / entry.release / MANIFEST).is_file():
+            recursion.check_possible(entry)
     done: list[Stage] = []
     for entry in plan.rounds:
         work: list[Callable[[RoundPlan], Stage]] = [recursion.collect]
@@ -179,15 +180,22 @@ class _Recursion:
         training_device(device)  # hours of collection may come before the first training
         self.networks = releases / CHECKPOINTS / plan.name
 
+    def check_possible(self, entry: RoundPlan) -> None:
+        """Raise where a round that is not there yet lacks what no earlier stage makes."""
+        if entry.collection is None:
+            raise MissingFileError(
+                f"round {entry.number} is reused from {entry.release}, which is not in {self.releases}",
+                hint="collect that recursion first, or fetch it; its last round has its name, and is not reused",
+            )
+        check_players(self.plan.outline(entry.number).blocks, str(self.plan.path))
+        for place in entry.played_by:
+            if not place.startswith(f"{self.plan.name}/"):
+                networks_folder(place, self.releases)
+
     def collect(self, entry: RoundPlan) -> Stage:
         what, started = f"collect {entry.release}", time.perf_counter()
         sealed = self.sealed(entry)
         if sealed is None:
-            if entry.collection is None:
-                raise MissingFileError(
-                    f"round {entry.number} is reused from {entry.release}, which is not in {self.releases}",
-                    hint="collect that recursion first, or fetch it; its last round has its name, and is not reused",
-                )
             if entry.played_by:  # noted before the first episode: a kill between the seal and a note would lose it
                 note(self.networks / PLAYERS, entry.release, players_of(entry, self.releases))
             collect(

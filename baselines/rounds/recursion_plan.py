@@ -34,18 +34,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from baselines.devices import LEARNED
 from baselines.rounds.plan import read_plan, read_toml
 from baselines.rounds.planned import CollectionPlan
 from baselines.train.config import TrainingConfig
+from baselines.train.result import NAME
 from evaluator.policy.shipped import CHECKPOINTS
-from rema_data.errors import InputError, RemaError
+from rema_data.errors import InputError, MissingFileError, RemaError
 from rema_data.release.manifest import check_name
 
-__all__ = ["NetworkPlan", "RecursionPlan", "RoundPlan", "load_recursion"]
+__all__ = ["NetworkPlan", "RecursionPlan", "RoundPlan", "load_recursion", "networks_folder"]
 
 _OWN = ("begins_with", "policies", "rounds")
 _TOP = ("name", "title", "description", "license", "citation", "published", "seed", "sources", *_OWN)
-_NETWORK = re.compile(r"[a-z0-9][a-z0-9._-]*/[a-z0-9][a-z0-9_-]*")
+_NETWORK = re.compile(rf"[a-z0-9][a-z0-9._-]*/{NAME}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +128,7 @@ class RecursionPlan:
         """
         entry = self.rounds[number - 1]
         assert entry.collection is not None
-        content = self._content(number, _with_checkpoints(entry.collection, (releases / CHECKPOINTS).resolve()))
+        content = self._content(number, _with_checkpoints(entry.collection, releases))
         if number > 1:
             content["parent"] = str((releases / self.rounds[number - 2].release).resolve())
         if number < len(self.rounds):
@@ -151,6 +153,24 @@ class RecursionPlan:
         return {**self.about, "name": self.rounds[number - 1].release, "rounds": rounds}
 
 
+def networks_folder(place: str, releases: Path) -> Path:
+    """Where the networks lie that a plan names as players.
+
+    Raises
+    ------
+    MissingFileError
+        They are not there.
+    """
+    folder = releases / CHECKPOINTS / place
+    if not folder.exists():
+        raise MissingFileError(
+            f"there are no networks {place} in {releases / CHECKPOINTS}, and a round is played by them",
+            hint="run the plan that trains them into the same folder, or copy them there from where it was run",
+            path=str(folder),
+        )
+    return folder
+
+
 def load_recursion(path: Path) -> RecursionPlan:
     """Read and check a plan of rounds.
 
@@ -159,7 +179,8 @@ def load_recursion(path: Path) -> RecursionPlan:
     MissingFileError
         The file is not there.
     InputError
-        A value cannot be used, a field is unknown, or a policy's networks are not trained by an earlier round.
+        A value cannot be used, a field is unknown, a policy's networks are not trained by an earlier round, or a
+        network has nothing to be trained on.
     """
     content = read_toml(path)
     unknown = [name for name in content if name not in _TOP]
@@ -173,6 +194,8 @@ def load_recursion(path: Path) -> RecursionPlan:
         name, base = check_name(str(content.get("name", ""))), content.get("begins_with")
     except InputError as error:
         raise InputError(f"{path}: name: {error.message}", hint=error.hint) from error
+    if base is not None and not isinstance(base, str):
+        raise InputError(f"{path}: begins_with = {base!r} is no name", hint='write begins_with = "rema-v0"')
     rounds: list[RoundPlan] = []
     known: set[str] = set()
     for number, entry in enumerate(entries, 1):
@@ -184,8 +207,13 @@ def load_recursion(path: Path) -> RecursionPlan:
             )
         networks = tuple(_network(path, number, table) for table in tables)
         if own.get("reuse") is True:
-            if not isinstance(base, str):
+            if base is None:
                 raise InputError(f"{path}: rounds[{number}].reuse lacks its source", hint='write begins_with = "..."')
+            if any(earlier.collection is not None for earlier in rounds):
+                raise InputError(
+                    f"{path}: rounds[{number}] is reused after a round that is collected, and would not hold it",
+                    hint="rounds that are reused come first",
+                )
             if others := [key for key in own if key != "reuse"]:
                 raise InputError(
                     f"{path}: rounds[{number}].{others[0]} is not a key of a round that is reused",
@@ -196,18 +224,11 @@ def load_recursion(path: Path) -> RecursionPlan:
             _check_networks(path, number, own, known, base)
             release = name if number == len(entries) else f"{name}-round-{number}"
             rounds.append(RoundPlan(number, release, own, networks))
+        _check_places(path, number, networks, {place.partition("/")[2] for place in known})
         known |= {f"{name}/{network.folder}" for network in networks}
-    policies = content.get("policies", {})
     folders = {network.folder for entry in rounds for network in entry.networks}
-    if not isinstance(policies, dict) or not all(folder in folders for folder in map(str, policies.values())):
-        raise InputError(
-            f"{path}: policies = {policies!r} names networks that no round trains",
-            hint=f"folders of networks: {', '.join(sorted(folders)) or 'none'}",
-        )
-    plan = RecursionPlan(path, about, tuple(rounds), policies)
-    for entry in plan.rounds:
-        if entry.collection is not None:
-            plan.outline(entry.number)  # every complaint before hours of work begin
+    plan = RecursionPlan(path, about, tuple(rounds), _policies(path, content.get("policies", {}), folders))
+    _check_data(plan)
     return plan
 
 
@@ -244,8 +265,53 @@ def _check_networks(path: Path, number: int, table: dict[str, Any], known: set[s
             )
 
 
-def _with_checkpoints(table: dict[str, Any], root: Path) -> dict[str, Any]:
+def _check_places(path: Path, number: int, networks: tuple[NetworkPlan, ...], used: set[str]) -> None:
+    """A folder of networks belongs to one round: those of an earlier one may have played, and stay what they were."""
+    places = [f"{network.folder}/{network.name}" for network in networks]
+    for network, place in zip(networks, places, strict=True):
+        if network.folder in used or places.count(place) > 1:
+            raise InputError(
+                f"{path}: rounds[{number}].networks: {place} is trained twice, or into the folder of an earlier round",
+                hint="give every round folders of its own, and every network in them its own name",
+                network=place,
+            )
+
+
+def _policies(path: Path, table: Any, folders: set[str]) -> dict[str, str]:
+    """Which built-in policies get which networks."""
+    if not isinstance(table, dict) or not all(folder in folders for folder in map(str, table.values())):
+        raise InputError(
+            f"{path}: policies = {table!r} names networks that no round trains",
+            hint=f"folders of networks: {', '.join(sorted(folders)) or 'none'}",
+        )
+    if unknown := sorted(set(table) - LEARNED):
+        raise InputError(
+            f"{path}: policies.{unknown[0]} is no policy with networks", hint=f"use: {', '.join(sorted(LEARNED))}"
+        )
+    return table
+
+
+def _check_data(plan: RecursionPlan) -> None:
+    """Every complaint about the data before hours of work begin; what is reused is not known yet."""
+    collected: set[tuple[str, str]] = set()
+    reused = any(entry.collection is None for entry in plan.rounds)
+    for entry in plan.rounds:
+        if entry.collection is not None:
+            collected |= {(block.key.task, block.key.split) for block in plan.outline(entry.number).blocks}
+        for network in () if reused else entry.networks:
+            for task in network.config.tasks:
+                for split in ("train", "val"):
+                    if (task, split) not in collected:
+                        raise InputError(
+                            f"{plan.path}: rounds[{entry.number}].networks: {network.folder}/{network.name} learns "
+                            f"{task}, of which no round so far has episodes in the split {split}",
+                            hint="collect them, or leave the task out",
+                            network=f"{network.folder}/{network.name}",
+                        )
+
+
+def _with_checkpoints(table: dict[str, Any], releases: Path) -> dict[str, Any]:
     made = copy.deepcopy(table)
     for use in _uses(made):
-        use["checkpoint"] = str(root / str(use["checkpoint"]))
+        use["checkpoint"] = str(networks_folder(str(use["checkpoint"]), releases).resolve())
     return made

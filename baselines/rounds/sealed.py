@@ -7,7 +7,7 @@ from pathlib import Path
 
 from baselines.rounds.notes import PLAYERS, read_notes
 from baselines.rounds.planned import BlockPlan, CollectionPlan
-from baselines.rounds.recursion_plan import RecursionPlan, RoundPlan
+from baselines.rounds.recursion_plan import RecursionPlan, RoundPlan, networks_folder
 from baselines.tae.checkpoint import networks_in
 from evaluator.policy.shipped import CHECKPOINTS
 from rema_data.errors import RunMismatchError
@@ -28,7 +28,7 @@ def players_of(entry: RoundPlan, releases: Path) -> dict[str, str]:
     """
     found = {}
     for place in entry.played_by:
-        for name, path in networks_in(releases / CHECKPOINTS / place).items():
+        for name, path in networks_in(networks_folder(place, releases)).items():
             found[f"{place}/{name}"] = hashlib.sha256(path.read_bytes()).hexdigest()
     return found
 

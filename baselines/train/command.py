@@ -79,13 +79,19 @@ def train(
     from baselines.tae.network import Architecture
     from baselines.train.config import TrainingConfig
     from baselines.train.loop import train as run
+    from baselines.train.result import check_network_name
     from evaluator.cli.progress import StderrProgress
     from rema_data.loader.release import load
 
     shape = Architecture(width, scene_stride, ee_stride, up_align_corners, correlation_scale)
     config = TrainingConfig(**values, architecture=shape)
     chosen = name or config.primitive
+    check_network_name(chosen)
     training_device(device)  # before a release is fetched from its files
+    if pictures is not None:
+        from baselines.train.pictures import require_matplotlib
+
+        require_matplotlib()
     with StderrProgress() as progress:
         report = reporter(progress, f"train {chosen}", config.updates)
         opened = load(release)

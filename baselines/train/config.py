@@ -129,7 +129,7 @@ class TrainingConfig:
                 made[name] = tuple(made[name])
         shape = made.get("architecture", Architecture())
         if isinstance(shape, Mapping):
-            made["architecture"] = Architecture.from_dict(shape)
+            made["architecture"] = _architecture(shape)
         elif not isinstance(shape, Architecture):
             raise InputError(
                 f"architecture = {shape!r} is no table", hint="write architecture = { width = 64 }, or leave it out"
@@ -139,6 +139,19 @@ class TrainingConfig:
     def to_dict(self) -> dict[str, Any]:
         """Plain values, ready for JSON."""
         return {**asdict(self), "tasks": list(self.tasks), "skills": list(self.skills)}
+
+
+def _architecture(values: Mapping[str, Any]) -> Architecture:
+    """As somebody wrote it; what comes out of a card has been one before."""
+    known = {item.name: type(item.default) for item in fields(Architecture)}
+    for name, value in values.items():
+        if name not in known:
+            raise InputError(f"architecture.{name} is unknown", hint=f"it has: {', '.join(known)}")
+        if type(value) is not known[name]:  # 4.0 and True are no 4
+            raise InputError(
+                f"architecture.{name} = {value!r} is no {known[name].__name__}", hint="see docs/network.md"
+            )
+    return Architecture(**values)
 
 
 def skills_of(primitive: str, tasks: tuple[str, ...]) -> tuple[str, ...]:

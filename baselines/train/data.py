@@ -91,7 +91,9 @@ def open_data(release: Release, config: TrainingConfig) -> TrainingData:
     train, val = (
         release.steps(tasks=config.tasks, split=split, which="all", skills=skills) for split in ("train", "val")
     )
-    _require_labels(release.name, train, skills if config.on_empty == "raise" else ())
+    _require_labels(release.name, "train on", train, skills if config.on_empty == "raise" else ())
+    if config.on_empty == "raise":
+        _require_labels(release.name, "validate with", val, skills)
     sampler = BalancedSampler(
         train,
         batch_size=config.batch_size,
@@ -104,16 +106,16 @@ def open_data(release: Release, config: TrainingConfig) -> TrainingData:
     return TrainingData(train, val.select(_balanced(val, config.validation_steps)), sampler)
 
 
-def _require_labels(release: str, train: StepDataset, skills: Iterable[str]) -> None:
+def _require_labels(release: str, purpose: str, steps: StepDataset, skills: Iterable[str]) -> None:
     """Raise where there is nothing to tell apart: in all steps, or in those of one of the skills."""
-    table = train.table
+    table = steps.table
     for name in (None, *skills):
         labels = table["success"] if name is None else table["success"][table["skill"] == name]
         if set(labels) != {True, False}:
             missing = "success" if not labels.any() else "failure"
             what = "" if name is None else f" of the skill {name}"
             raise InputError(
-                f"release {release} has no {missing}{what} to train on",
+                f"release {release} has no {missing}{what} to {purpose}",
                 hint="collect more of it, leave its task out, or go on with what there is: on_empty = renormalise",
                 skill=name,
             )

@@ -18,7 +18,7 @@ from baselines.tae.checkpoint import Checkpoint
 from baselines.tae.network import TaeNetwork
 from baselines.train.config import TrainingConfig
 from baselines.train.data import open_data, prepared
-from baselines.train.result import DIVERGED, DivergedError, Trained, save_best, trained
+from baselines.train.result import DIVERGED, DivergedError, Trained, check_network_name, save_best, trained
 from baselines.train.state import TrainingState, locked, read_state, state_path, write_state
 from baselines.train.validation import pixel_logits, validate
 from evaluator.runner.environment import source_digest
@@ -30,9 +30,9 @@ __all__ = ["DivergedError", "Trained", "train", "trained"]
 
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 _BETAS = (0.9, 0.95)
+"""Of Adam, as AdaGrasp has them."""
 _CODE = ("baselines.tae", "baselines.train", "rema_data")
 """What decides the weights: a training that was stopped is not taken up by other code."""
-"""Of Adam, as AdaGrasp has them."""
 Report = Callable[[int, dict[str, Any]], None]
 
 
@@ -61,14 +61,16 @@ def train(
         Refuse operations whose result may differ between two runs on one device.
     report : callable, optional
         Called after every update with the number of updates done and ``{"loss": ..., "samples": ...}``, the loss still
-        on the device, and after a validation with its measures.
+        on the device; after a validation with its measures and the speed since the one before; and with ``{"resumed":
+        ..., "threads": ...}`` where an interrupted training goes on.
     save_every : int, optional
         Updates between two saved states; those of a validation by default.
 
     Raises
     ------
     InputError, MissingFileError, IntegrityError
-        See ``open_data``; or another process is at the same training, or the device is not there.
+        See ``open_data``; or another process is at the same training, the device is not there, or no network can have
+        the name.
     RunMismatchError
         The folder holds another training under the name.
     DivergedError
@@ -77,6 +79,7 @@ def train(
     StorageError
         The disk is full.
     """
+    check_network_name(name)
     where = training_device(device)
     done = trained(release, config, folder, name)
     if done is not None:
@@ -114,10 +117,10 @@ class _Training:
         self.optimiser = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate, betas=_BETAS)
         self.random = torch.Generator().manual_seed(config.seed + 1)
         self.update = 0
+        self.losses: list[Tensor] = []  # since the last validation
         self.history: list[dict[str, Any]] = []
         self.best: dict[str, Any] | None = None
         self.best_weights: dict[str, Tensor] = {}
-        self.seconds = 0.0
         self.code = {name: source_digest(name) for name in _CODE}
         self.threads = {torch.get_num_threads()}  # equal weights need equal sums, which the threads cut in parts
 
@@ -133,31 +136,27 @@ class _Training:
     def go(self, save_every: int) -> Trained:
         self.resume()
         batches = self.data.batches()
-        losses: list[Tensor] = []
-        started = time.perf_counter()
-        waiting = 0.0
+        started, waiting, before = time.perf_counter(), 0.0, self.update
         while self.update < self.config.updates:
             asked = time.perf_counter()
             samples = prepared(next(batches), self.augment, self.random, self.device)
             waiting += time.perf_counter() - asked
-            losses.append(self.step(samples))
+            self.losses.append(self.step(samples))
             self.update += 1
             if self.report is not None:
-                self.report(self.update, {"loss": losses[-1], "samples": self.config.batch_size})
+                self.report(self.update, {"loss": self.losses[-1], "samples": self.config.batch_size})
             last = self.update == self.config.updates
             validating = last or self.update % self.config.validate_every == 0
             if validating or self.update % save_every == 0:
-                self.check(losses)
+                self.check()
             if validating:
-                now = time.perf_counter()
-                self.seconds += now - started
-                took = {
-                    "seconds": now - started,
-                    "samples_per_second": len(losses) * self.config.batch_size / (now - started),
-                    "waiting_share": waiting / (now - started),
+                took = time.perf_counter() - started
+                speed = {
+                    "samples_per_second": (self.update - before) * self.config.batch_size / took,
+                    "waiting_share": waiting / took,
                 }
-                self.validate(float(torch.stack(losses).mean()), took)
-                losses, started, waiting = [], time.perf_counter(), 0.0
+                self.validate(speed)
+                started, waiting, before = time.perf_counter(), 0.0, self.update
             if validating or self.update % save_every == 0:
                 self.save()
         return self.finish()
@@ -179,11 +178,11 @@ class _Training:
             return 1.0
         return 0.5 * (1 + math.cos(math.pi * self.update / self.config.updates))
 
-    def check(self, losses: list[Tensor]) -> None:
+    def check(self) -> None:
         """Raise where a loss, or a weight that the last step left, is not finite: neither is saved or validated."""
-        wrong = (~torch.isfinite(torch.stack(losses))).nonzero()
+        wrong = (~torch.isfinite(torch.stack(self.losses))).nonzero()
         if len(wrong):
-            update = self.update - len(losses) + int(wrong[0]) + 1
+            update = self.update - len(self.losses) + int(wrong[0]) + 1
             raise self.diverged(f"the loss of update {update} is not a number", update)
         for name, tensor in self.weights().items():
             if not bool(torch.isfinite(tensor).all()):
@@ -203,20 +202,23 @@ class _Training:
             update=update,
         )
 
-    def validate(self, loss: float, took: dict[str, float]) -> None:
+    def validate(self, speed: dict[str, float]) -> None:
         try:
             measures = validate(self.network, self.data.validation, self.device)
         except DivergedError as error:
             raise self.diverged(f"after update {self.update} {error.message}", self.update) from error
-        entry = {"update": self.update, "training_loss": loss, **took, **measures}
-        self.history.append(entry)
-        if self.best is None or measures["auc"] > self.best["auc"]:
+        entry = {"update": self.update, "training_loss": float(torch.stack(self.losses).mean()), **measures}
+        self.losses = []
+        self.history.append(
+            entry
+        )  # without the speed: the file counts among a policy's bytes, equal for equal trainings
+        if self.best is None or _rank(measures) > _rank(self.best):
             self.best = {"update": self.update, **measures, "threads": sorted(self.threads)}
             self.best_weights = {key: tensor.detach().cpu().clone() for key, tensor in self.weights().items()}
         lines = "".join(json.dumps(row) + "\n" for row in self.history)
         write_atomic(self.folder / f"{self.name}.metrics.jsonl", lines)
         if self.report is not None:
-            self.report(self.update, entry)
+            self.report(self.update, entry | speed)
 
     def weights(self) -> dict[str, Tensor]:
         return dict(self.network.state_dict())
@@ -233,9 +235,9 @@ class _Training:
         tensors |= {"generator": self.random.get_state()}
         facts = {
             "sampler": self.data.sampler.state_dict(),
+            "losses": torch.stack(self.losses).tolist() if self.losses else [],
             "history": self.history,
             "best": self.best,
-            "seconds": self.seconds,
             "threads": sorted(self.threads),
         }
         kept = {key: tensor.detach().cpu().contiguous() for key, tensor in tensors.items()}
@@ -258,15 +260,23 @@ class _Training:
             self.optimiser.state[parameter] = {"step": torch.tensor(float(state.update)), **moments}
         self.random.set_state(state.tensors["generator"])
         self.data.sampler.load_state_dict(state.facts["sampler"])
+        self.losses = list(torch.tensor(state.facts["losses"], device=self.device))
         self.update, self.history, self.best = state.update, state.facts["history"], state.facts["best"]
-        self.seconds, self.best_weights = state.facts["seconds"], part["best"]
-        self.threads |= set(state.facts.get("threads", ()))
+        self.best_weights = part["best"]
+        self.threads |= set(state.facts["threads"])
         if self.report is not None:
             self.report(self.update, {"resumed": self.update, "threads": sorted(self.threads)})
 
     def save_best(self, folder: Path) -> Checkpoint:
         assert self.best is not None
-        return save_best(self.release, self.config, folder, self.name, self.best_weights, self.best)
+        present = set(self.data.train.table["skill"])
+        skills = tuple(name for name in self.config.learned_skills if name in present)
+        return save_best(self.release, self.config, skills, folder, self.name, self.best_weights, self.best)
 
     def finish(self) -> Trained:
         return Trained(self.folder, self.name, self.save_best(self.folder), already=False)
+
+
+def _rank(measures: dict[str, Any]) -> tuple[float, float]:
+    """The better weights have the higher one: by AUC, which is often 1 more than once, then by loss."""
+    return measures["auc"], -measures["loss"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,12 +24,18 @@ from rema_data.storage import write_atomic
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["draw_maps"]
+__all__ = ["draw_maps", "require_matplotlib"]
 
 _ROWS, _COLUMNS = 3, 4
 _ARROW = 8
 """Pixels of the line that shows the yaw of an action, to both sides."""
 _GREEN, _RED, _BLUE = "#1a7f37", "#b42318", "#0969da"
+
+
+def require_matplotlib() -> None:
+    """Raise an InputError where pictures cannot be drawn: to be asked before hours of training, too."""
+    if find_spec("matplotlib") is None:
+        raise InputError("pictures need matplotlib, which is not installed", hint='pip install "rema[report]"')
 
 
 def draw_maps(network: TaeNetwork, data: StepDataset, path: Path) -> None:
@@ -44,13 +51,10 @@ def draw_maps(network: TaeNetwork, data: StepDataset, path: Path) -> None:
     StorageError
         The file cannot be written.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise InputError(
-            f"pictures need {error.name}, which is not installed", hint='pip install "rema[report]"'
-        ) from error
+    require_matplotlib()
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     rows = np.unique(np.linspace(0, len(data) - 1, min(len(data), _ROWS * _COLUMNS)).astype(int))
     batch = data[rows]
     assert isinstance(batch, StepBatch)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 import shutil
 from collections.abc import Mapping
@@ -19,10 +20,14 @@ from evaluator.runner.environment import code_commit
 from rema_data.errors import InputError, IntegrityError, MissingFileError, RemaError, RunMismatchError
 from rema_data.loader.release import Release
 
-__all__ = ["DIVERGED", "DivergedError", "Trained", "save_best", "trained"]
+__all__ = ["DIVERGED", "NAME", "DivergedError", "Trained", "check_network_name", "save_best", "trained"]
 
 DIVERGED = "diverged"
 """Folder, below that of the networks, of what was kept of trainings that failed: no policy takes it for a network."""
+
+
+NAME = r"[a-z0-9][a-z0-9_-]*"
+"""How a network may be called."""
 
 
 class DivergedError(RemaError, ArithmeticError):
@@ -48,6 +53,12 @@ class Trained:
     name: str
     checkpoint: Checkpoint
     already: bool
+
+
+def check_network_name(name: str) -> None:
+    """Raise an InputError where files of that name would not be found again, or lie elsewhere."""
+    if not re.fullmatch(NAME, name):
+        raise InputError(f"{name!r} cannot name a network", hint="use small letters, digits, - and _", name=name)
 
 
 def trained(release: Release, config: TrainingConfig, folder: Path, name: str) -> Trained | None:
@@ -84,6 +95,7 @@ def trained(release: Release, config: TrainingConfig, folder: Path, name: str) -
 def save_best(
     release: Release,
     config: TrainingConfig,
+    skills: tuple[str, ...],
     folder: Path,
     name: str,
     weights: Mapping[str, Tensor],
@@ -95,6 +107,8 @@ def save_best(
     ----------
     release, config
         What it was trained on, and how.
+    skills : tuple of str
+        Those of its steps.
     folder, name
         As in ``save_checkpoint``.
     weights : mapping of str to Tensor
@@ -108,7 +122,7 @@ def save_best(
     """
     about = Checkpoint(
         primitive=config.primitive,
-        skills=config.learned_skills,
+        skills=skills,
         architecture=config.architecture,
         release=release.name,
         release_sha256=release.fingerprint,

@@ -34,8 +34,9 @@ def validate(network: TaeNetwork, data: StepDataset, device: torch.device) -> di
     Returns
     -------
     dict
-        ``auc`` and ``balanced_accuracy`` (means over the skills), ``calibration_error`` and ``loss`` over all steps
-        with both labels given equal weight, and ``skills`` with the first two and the counts for each.
+        ``auc`` and ``balanced_accuracy`` (means over the skills that have successes and failures, or over all where
+        none has; without both an AUC is 0.5), ``calibration_error`` and ``loss`` over all steps with both labels given
+        equal weight, and ``skills`` with the first two and the counts for each.
 
     Raises
     ------
@@ -71,7 +72,8 @@ def score(logit: npt.NDArray[np.float64], success: npt.NDArray[np.bool_], skills
             "auc": _auc(won, lost),
             "balanced_accuracy": (_share(won > 0) + _share(lost <= 0)) / 2,
         }
-    means = {key: float(np.mean([entry[key] for entry in by_skill.values()])) for key in ("auc", "balanced_accuracy")}
+    telling = [entry for entry in by_skill.values() if entry["successes"] and entry["failures"]] or [*by_skill.values()]
+    means = {key: float(np.mean([entry[key] for entry in telling])) for key in ("auc", "balanced_accuracy")}
     weight = np.where(success, 0.5 / max(1, success.sum()), 0.5 / max(1, (~success).sum()))
     weight /= weight.sum()
     chance = 1 / (1 + np.exp(-np.clip(logit, -50, 50)))

@@ -47,7 +47,7 @@ def shipped_policies() -> dict[str, tuple[str, dict[str, str]]]:
 
 
 def shipped_checkpoint(policy: str) -> Path | None:
-    """Folder of the networks of a built-in policy, every file checked; None for a policy that has none.
+    """Folder of the networks of a built-in policy, every file of the manifest checked; None for a policy without any.
 
     Raises
     ------

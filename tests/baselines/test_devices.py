@@ -52,6 +52,15 @@ def test_a_round_that_needs_openvino(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert "rema[openvino]" in done.output and not (tmp_path / "out").exists()
 
 
+def test_a_round_on_a_device_that_is_not_there(tmp_path: Path) -> None:
+    text = (ROOT / "examples" / "tiny.toml").read_text()
+    asked = text.replace('"tiny-recursion/round-3" }', '"tiny-recursion/round-3", device = "gpu" }')
+    (tmp_path / "plan.toml").write_text(asked)
+    done = CliRunner().invoke(cli, ["rounds", str(tmp_path / "plan.toml"), "--output", str(tmp_path / "out")])
+    assert done.exit_code == 2 and "rounds[4] is played on the device gpu: " in done.output and "cpu" in done.output
+    assert not (tmp_path / "out").exists()
+
+
 def test_only_learned_policies_need_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(devices, "find_spec", lambda name: None)
     head = 'name = "a"\ntitle = "A"\ndescription = "A"\nlicense = "CC-BY-4.0"\ncitation = "A"\nseed = 1\n[[rounds]]\n'

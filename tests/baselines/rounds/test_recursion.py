@@ -130,6 +130,23 @@ def written(folder: Path, *changes: tuple[str, str]) -> Path:
         (("[[rounds.networks]]", "networks = 3\n[[rounds]]"), "rounds[1].networks is 3"),
         (("learning_rate = 3e-3", 'learning_rate = "3e-3"'), "learning_rate"),
         (("seed = 1", 'seed = 1\nbegins_with = "older"\n[[rounds]]\nreuse = true\nepisodes = 3'), "rounds[1].episodes"),
+        (
+            ('network = "round-2/grasp"', 'network = "round-1/pick"'),
+            "round-1/pick is trained twice, or into",
+        ),
+        (('network = "round-3/push"', 'network = "round-3/grasp"'), "round-3/grasp is trained twice"),
+        (("seed = 1", "seed = 1\nbegins_with = 5"), "begins_with = 5 is no name"),
+        (("seed = 1", 'seed = 1\npolicies = { tea-joint = "joint" }'), "policies.tea-joint is no policy"),
+        (
+            ("{ train = 200, val = 80 }", "{ train = 200 }"),
+            "learns grasp, of which no round so far",
+        ),
+        (
+            ('tasks = ["grasp"]\nupdates', 'tasks = ["push", "grasp"]\nupdates'),
+            "grasp learns push, of which no",
+        ),
+        (("width = 8", "width = 8.0"), "architecture.width = 8.0 is no int"),
+        (("width = 8", "depth = 8"), "architecture.depth is unknown"),
         (('picks = { code = "tae", checkpoint = "tiny-recursion/round-2" }', 'picks = "tae"'), "rounds[3]"),
     ],
 )
@@ -139,6 +156,21 @@ def test_plans_that_cannot_be_carried_out(tmp_path: Path, change: tuple[str, str
     with pytest.raises(InputError, match=re.escape(words)) as caught:
         load_recursion(path)
     assert str(path) in caught.value.message and caught.value.hint
+
+
+def test_rounds_that_are_reused_come_first(tmp_path: Path) -> None:
+    second = next(line for line in TINY.read_text().splitlines() if "# 2: " in line)
+    older = ("seed = 1", 'seed = 1\nbegins_with = "older"')
+    with pytest.raises(InputError, match=r"rounds\[2\] is reused after a round that is collected"):
+        load_recursion(written(tmp_path, older, (second, f"[[rounds]]\nreuse = true\n\n{second}")))
+
+
+def test_networks_of_another_recursion_are_there_before_anything_is_done(tmp_path: Path) -> None:
+    older = ("seed = 1", 'seed = 1\nbegins_with = "older"')
+    plan = load_recursion(written(tmp_path, older, ("tiny-recursion/round-2", "older/round-2")))
+    with pytest.raises(MissingFileError, match="no networks older/round-2") as caught:
+        recurse(plan, tmp_path / "out", Quiet())
+    assert caught.value.hint and not (tmp_path / "out").exists()
 
 
 def test_a_plan_that_is_not_there(tmp_path: Path) -> None:

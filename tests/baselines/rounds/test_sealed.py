@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -15,7 +16,7 @@ from baselines.rounds.notes import note, read_notes
 from baselines.rounds.recursion import recurse
 from baselines.rounds.recursion_plan import load_recursion
 from baselines.rounds.sealed import check_sealed
-from rema_data.errors import IntegrityError, RunMismatchError
+from rema_data.errors import IntegrityError, MissingFileError, RunMismatchError
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, parse_manifest
 from tests.baselines.rounds.test_recursion import Quiet
@@ -32,7 +33,7 @@ seed = 7
 
 [[rounds]]
 policy = "random"
-episodes = { train = 6 }
+episodes = { train = 6, val = 2 }
 tasks = ["grasp"]
 
 [[rounds.networks]]
@@ -81,6 +82,11 @@ def test_a_round_that_other_networks_played(collected: Path) -> None:
     (networks / "round-1" / "grasp.safetensors").write_bytes(b"trained again elsewhere")
     with pytest.raises(RunMismatchError, match=r"two was played by other networks \(two/round-1/grasp\) than round 2"):
         again(collected)
+    shutil.rmtree(networks / "round-1")
+    with pytest.raises(MissingFileError, match="no networks two/round-1 in"):
+        again(collected)
+    (networks / "round-1").mkdir()
+    (networks / "round-1" / "grasp.safetensors").write_bytes(b"trained again elsewhere")
     (networks / "players.json").unlink()  # as of a release that was collected before they were noted
     assert all(stage.already for stage in again(collected))
 

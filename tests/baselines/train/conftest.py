@@ -29,9 +29,8 @@ def config() -> TrainingConfig:
 
 
 def tree(folder: Path) -> dict[str, object]:
-    """Every file of a folder of networks but the measures, which hold times; cards without the commit of the code."""
+    """Every file of a folder of networks; cards without the commit of the code."""
     return {
         path.name: {**json.loads(path.read_bytes()), "commit": ""} if path.suffix == ".json" else path.read_bytes()
         for path in folder.iterdir()
-        if not path.name.endswith(".jsonl")
     }

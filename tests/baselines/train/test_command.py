@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 import rema_data
+from baselines.train import pictures
 from baselines.train.command import reporter
 from evaluator.cli.main import cli
 
@@ -45,12 +46,22 @@ def test_a_network_with_its_card_and_pictures(release: rema_data.Release, tmp_pa
         (("--tasks", "juggle"), "juggle"),
         (("--release", "nowhere"), "nowhere"),
         (("--updates", "0"), "updates"),
+        (("--name", "push.pt"), "'push.pt' cannot name a network"),
+        (("--name", "../grasp"), "'../grasp' cannot name a network"),
     ],
 )
 def test_bad_input_is_named(release: rema_data.Release, tmp_path: Path, more: tuple[str, ...], words: str) -> None:
     done = CliRunner().invoke(cli, command(release, tmp_path / "out", *more))
     assert done.exit_code == 2 and words in done.output
     assert not (tmp_path / "out").exists()
+
+
+def test_pictures_that_cannot_be_drawn_are_refused_before_the_training(
+    release: rema_data.Release, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pictures, "find_spec", lambda name: None)
+    done = CliRunner().invoke(cli, command(release, tmp_path / "out", "--pictures", str(tmp_path / "maps.png")))
+    assert done.exit_code == 2 and "rema[report]" in done.output and not (tmp_path / "out").exists()
 
 
 class Loss:

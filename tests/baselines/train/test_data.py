@@ -93,6 +93,18 @@ def test_one_skill_of_two_without_a_success(tmp_path: Path) -> None:
     assert len(next(iter(data.sampler))) == 8
 
 
+def test_a_validation_split_without_a_success(tmp_path: Path) -> None:
+    """Nothing tells good weights from bad ones: they are not chosen by it without a word."""
+    keys = [BlockKey(1, "push", split) for split in ("train", "val")]
+    for key in keys:
+        make_block(tmp_path / "staging" / key.path, key, 20, 0, 0.5 if key.split == "train" else 0.0)
+    about = Description("half", "Half", "Synthetic.", "CC-BY-4.0", "The rema authors")
+    release = rema_data.Release(seal(tmp_path / "staging", tmp_path, about, keys, fingerprint=FINGERPRINT), "memory")
+    with pytest.raises(InputError, match="no success of the skill push to validate with|no success to validate with"):
+        open_data(release, TrainingConfig("push", ("push",)))
+    assert len(open_data(release, TrainingConfig("push", ("push",), on_empty="renormalise")).validation) == 20
+
+
 @pytest.mark.parametrize("content", [None, b"PAR1"])
 def test_nothing_is_trained_where_nobody_can_tell_what_is_tested(
     release: rema_data.Release, config: TrainingConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: Any

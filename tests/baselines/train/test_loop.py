@@ -20,6 +20,7 @@ import rema_data
 from baselines.tae.checkpoint import load_checkpoint, networks_in
 from baselines.train import loop
 from baselines.train.config import TrainingConfig
+from baselines.train.data import open_data
 from baselines.train.loop import DivergedError, train, trained
 from rema_data.errors import InputError, IntegrityError, MissingFileError, RunMismatchError
 from tests.baselines.train.conftest import tree
@@ -109,6 +110,30 @@ def test_a_finished_training_is_not_repeated(
     with pytest.raises(IntegrityError, match="is not JSON") as caught:
         train(release, config, tmp_path, "grasp")
     assert caught.value.hint.startswith(f"delete it to train it again: rm -f {tmp_path / 'grasp.json'}")
+
+
+@pytest.mark.parametrize(("losses", "best"), [((0.3, 0.1, 0.2), 6), ((0.1, 0.2, 0.3), 3)])
+def test_of_weights_that_are_equal_by_auc_the_surer_are_kept(
+    release: rema_data.Release,
+    config: TrainingConfig,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    losses: tuple[float, ...],
+    best: int,
+) -> None:
+    found = iter(losses)
+    monkeypatch.setattr(loop, "validate", lambda *_: {"auc": 1.0, "loss": next(found), "skills": {}})
+    assert train(release, config, tmp_path, "grasp").checkpoint.updates == best
+
+
+def test_the_card_has_the_skills_that_there_were(
+    release: rema_data.Release, config: TrainingConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not those that were asked for, and of which no episode reached the step."""
+    asked = dataclasses.replace(config, tasks=("grasp", "grasp_push", "grasp_grasp"), on_empty="renormalise")
+    monkeypatch.setattr(loop, "open_data", lambda release, _: open_data(release, config))
+    assert asked.learned_skills == ("grasp", "grasp_grasp")
+    assert train(release, asked, tmp_path, "grasp").checkpoint.skills == ("grasp",)
 
 
 def test_a_training_is_not_taken_up_by_other_code(
@@ -254,6 +279,7 @@ import rema_data
 import rema_data.release.folder
 from baselines.train import loop
 from baselines.train.config import TrainingConfig
+from baselines.train.data import open_data
 from baselines.tae.network import Architecture
 release = rema_data.Release(rema_data.release.folder.find_release(Path(sys.argv[1])), cache=Path(sys.argv[2]))
 small = Architecture(width=4)

@@ -36,6 +36,14 @@ def test_skills_count_alike_whatever_their_size() -> None:
     assert measures["skills"]["grasp_grasp"] == {"successes": 1, "failures": 1, "auc": 0.0, "balanced_accuracy": 0.0}
 
 
+def test_a_skill_without_both_labels_tells_nothing() -> None:
+    success = np.array([True, False] * 50 + [False] * 3)
+    skills = np.array(["grasp"] * 100 + ["grasp_grasp"] * 3)
+    measures = score(np.where(success, 1.0, -1.0), success, skills)
+    assert measures["auc"] == measures["balanced_accuracy"] == 1.0
+    assert score(np.zeros(3), success[-3:], skills[-3:])["auc"] == 0.5
+
+
 def test_calibration_does_not_depend_on_how_many_of_each_label_there_are() -> None:
     """Half a chance for everything is right when both labels weigh the same."""
     success = np.array([True] * 5 + [False] * 95)
