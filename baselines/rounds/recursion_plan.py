@@ -196,8 +196,15 @@ def load_recursion(path: Path) -> RecursionPlan:
         raise InputError(f"{path}: name: {error.message}", hint=error.hint) from error
     if base is not None and not isinstance(base, str):
         raise InputError(f"{path}: begins_with = {base!r} is no name", hint='write begins_with = "rema-v0"')
+    rounds = _rounds(path, entries, name, base)
+    folders = {network.folder for entry in rounds for network in entry.networks}
+    plan = RecursionPlan(path, about, rounds, _policies(path, content.get("policies", {}), folders))
+    _check_data(plan)
+    return plan
+
+
+def _rounds(path: Path, entries: list[dict[str, Any]], name: str, base: str | None) -> tuple[RoundPlan, ...]:
     rounds: list[RoundPlan] = []
-    known: set[str] = set()
     for number, entry in enumerate(entries, 1):
         own = copy.deepcopy(entry)
         tables = own.pop("networks", [])
@@ -206,6 +213,8 @@ def load_recursion(path: Path) -> RecursionPlan:
                 f"{path}: rounds[{number}].networks is {tables!r}", hint="write a table [[rounds.networks]] for each"
             )
         networks = tuple(_network(path, number, table) for table in tables)
+        used = {network.folder for earlier in rounds for network in earlier.networks}
+        _check_places(path, number, networks, used)
         if own.get("reuse") is True:
             if base is None:
                 raise InputError(f"{path}: rounds[{number}].reuse lacks its source", hint='write begins_with = "..."')
@@ -221,15 +230,10 @@ def load_recursion(path: Path) -> RecursionPlan:
                 )
             rounds.append(RoundPlan(number, f"{base}-round-{number}", None, networks))
         else:
-            _check_networks(path, number, own, known, base)
+            _check_players(path, number, own, {f"{name}/{folder}" for folder in used}, base)
             release = name if number == len(entries) else f"{name}-round-{number}"
             rounds.append(RoundPlan(number, release, own, networks))
-        _check_places(path, number, networks, {place.partition("/")[2] for place in known})
-        known |= {f"{name}/{network.folder}" for network in networks}
-    folders = {network.folder for entry in rounds for network in entry.networks}
-    plan = RecursionPlan(path, about, tuple(rounds), _policies(path, content.get("policies", {}), folders))
-    _check_data(plan)
-    return plan
+    return tuple(rounds)
 
 
 def _network(path: Path, number: int, table: Any) -> NetworkPlan:
@@ -253,10 +257,10 @@ def _uses(table: Any) -> list[dict[str, Any]]:
     return here + [use for value in table.values() for use in _uses(value)]
 
 
-def _check_networks(path: Path, number: int, table: dict[str, Any], known: set[str], base: Any) -> None:
+def _check_players(path: Path, number: int, table: dict[str, Any], known: set[str], base: str | None) -> None:
     for use in _uses(table):
         place = str(use["checkpoint"])
-        if place not in known and not (isinstance(base, str) and place.startswith(f"{base}/")):
+        if place not in known and not (base and place.startswith(f"{base}/")):
             listed = ", ".join(sorted(known)) or "none"
             raise InputError(
                 f"{path}: rounds[{number}] is played by {place}, which no earlier round trains",
