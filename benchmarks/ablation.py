@@ -79,7 +79,7 @@ WAYS = {
     "corners": Way("upsampling without aligned corners", ("--no-up-align-corners",)),
     "displaced": Way(
         "as planned; the hand arrives up to a pixel (4.5 mm) beside",
-        policy="benchmarks/displaced_policy.py",
+        policy="benchmarks/policies/displaced.py",
         trained=PLANNED,
     ),
 }

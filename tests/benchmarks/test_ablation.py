@@ -14,7 +14,7 @@ from baselines.tae.network import Architecture, TaeNetwork
 from baselines.tae_policy import TaePolicy
 from baselines.train.command import train
 from benchmarks import ablation
-from benchmarks.displaced_policy import Policy
+from benchmarks.policies.displaced import Policy
 from rema_data import grid
 from rema_data.testing import make_release
 from tests.evaluator.policy.batches import make_batch
