@@ -135,7 +135,9 @@ def main() -> int:
     if names[0] != PLANNED or not set(names) <= set(WAYS):
         options.error(f"--ways begins with {PLANNED} and names some of {', '.join(WAYS)}")
     output = arguments.output.resolve()
-    table = Table("trained", "validation AUC", "solved", "% [95 %]", "difference, % [95 %]", "p", title="after round 1")
+    table = Table("trained", "best after", "validation AUC", "solved", "% [95 %]", title="after round 1")
+    for title in ("difference, % [95 %]", "p"):
+        table.add_column(title)
     notes, numbers, first = [], {}, None
     for name in names:
         way = WAYS[name]
@@ -151,7 +153,8 @@ def main() -> int:
         first = first or run
         rate = f"{100 * counts.successes / counts.eligible:.2f} [{100 * low:.2f}, {100 * high:.2f}]"
         solved = f"{counts.successes:,} of {counts.eligible:,}"
-        table.add_row(way.title, f"{card.metrics['auc']:.3f}", solved, rate, difference, p)
+        auc = f"{card.metrics['auc']:.3f}"
+        table.add_row(way.title, f"{card.updates:,}", auc, solved, rate, difference, p)
         if name == PLANNED:
             notes.append(f"{way.title}: `{shlex.join(training_command(way, arguments.device))} --output FOLDER`")
         elif way.options:
