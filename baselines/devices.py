@@ -50,19 +50,20 @@ def check_players(blocks: Iterable[BlockPlan], where: str) -> None:
     InputError
     """
     for block in blocks:
-        played = f"{where}: rounds[{block.key.round}] is played on the device"
+        number = block.key.round
+        played = f"{where}: rounds[{number}] is played on the device"
         for device in {use.device for use in block.policies if use.spec.name in LEARNED}:
             if device != _OPENVINO:
                 try:
                     training_device(device)
                 except InputError as error:
-                    raise InputError(f"{played} {device}: {error.message}", hint=error.hint, device=device) from error
+                    raise InputError(f"{played} {device}: {error.message}", hint=error.hint, round=number) from error
             elif find_spec(_OPENVINO) is None:
                 raise InputError(
                     f"{played} openvino, and OpenVINO is not installed",
                     hint='pip install "rema[openvino]", or write device = "cpu": slower, the same answers up to '
                     "rounding",
-                    round=block.key.round,
+                    round=number,
                 )
 
 
