@@ -13,9 +13,10 @@ _PRODUCT = ("rema_data", "evaluator")
 
 
 def own_modules(file: Path) -> list[Path]:
-    """Files that ``file`` imports from its own folder, or from its own package, and what these import; sorted.
+    """Files that ``file`` imports from its own folder, or from where its package lies, and what these import; sorted.
 
-    An import that is computed when it runs is not seen, and a file that is no Python has none.
+    Of an installed package only its own modules count, since what lies beside it are strangers: the same as in a
+    checkout. An import that is computed when it runs is not seen, and a file that is no Python has none.
 
     Parameters
     ----------
@@ -25,11 +26,15 @@ def own_modules(file: Path) -> list[Path]:
     root = file.parent
     while (root / "__init__.py").is_file():
         root = root.parent
+    installed = root != file.parent and any(root.glob("*.dist-info"))
+    package = file.relative_to(root).parts[0]
     found: set[Path] = set()
     waiting = [file]
     while waiting:
         at = waiting.pop()
         for name in _imported(at, root):
+            if installed and name.partition(".")[0] != package:
+                continue
             for path in _files_of(name, root):
                 if path != file and path not in found:
                     found.add(path)

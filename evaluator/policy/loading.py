@@ -117,8 +117,8 @@ def check_checkpoint(checkpoint: Path | None) -> Path | None:
 def digest(spec: PolicySpec, checkpoint: Path | None) -> str:
     """Identity of a policy: sha256 over its class name, its code and its weights, hexadecimal.
 
-    The code is the file and the modules of its own folder, or package, that it imports. A checkpoint folder counts with
-    all its files, in sorted order.
+    The code is the file and what it imports of its own (``own_modules``). A checkpoint folder counts with all its
+    files, in sorted order.
 
     Raises
     ------

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -98,6 +100,19 @@ def test_the_digest_of_a_learned_baseline_covers_its_network() -> None:
     names = {path.name for path in own_modules(resolve("tae").path)}
     assert {"network.py", "scoring.py", "correlation.py"} <= names
     assert "schema.py" not in names
+
+
+def test_an_installed_policy_has_the_digest_of_the_checkout(tmp_path: Path) -> None:
+    """Torch and others lie beside it there, and are not its code."""
+    spec = resolve("tae")
+    shutil.copytree(spec.path.parent, tmp_path / "baselines", ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "rema-0.dist-info").mkdir()
+    (tmp_path / "torch").mkdir()
+    (tmp_path / "torch" / "__init__.py").write_text("")
+    (tmp_path / "numpy.py").write_text("")
+    installed = dataclasses.replace(spec, path=tmp_path / "baselines" / spec.path.name)
+    assert {path.relative_to(tmp_path).parts[0] for path in own_modules(installed.path)} == {"baselines"}
+    assert digest(installed, None) == digest(spec, None)
 
 
 def test_a_name_that_no_table_shows(tmp_path: Path) -> None:
