@@ -76,7 +76,6 @@ WAYS = {
     "balanced-on-average": Way("balanced on average, not in every minibatch", ("--balance", "average")),
     "wrong-labels": Way("1 % of the labels it is trained on wrong", wrong_labels=0.01),
     "finer-cells": Way("features at 9 mm instead of 18", ("--scene-stride", "2", "--ee-stride", "2")),
-    "corners": Way("upsampling without aligned corners", ("--no-up-align-corners",)),
     "displaced": Way(
         "as planned; the hand arrives up to a pixel (4.5 mm) beside",
         policy="benchmarks/policies/displaced.py",
