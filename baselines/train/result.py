@@ -24,8 +24,6 @@ __all__ = ["DIVERGED", "NAME", "DivergedError", "Trained", "check_network_name",
 
 DIVERGED = "diverged"
 """Folder, below that of the networks, of what was kept of trainings that failed: no policy takes it for a network."""
-
-
 NAME = r"[a-z0-9][a-z0-9_-]*"
 """How a network may be called."""
 

@@ -1,6 +1,6 @@
 """A learned policy whose hand arrives up to a pixel beside where it is sent: what noise in acting would cost.
 
-rema evaluate benchmarks/policies/displaced.py --checkpoint releases/checkpoints/rema-v0/round-1 --task grasp
+``rema evaluate benchmarks/policies/displaced.py --checkpoint releases/checkpoints/rema-v0/round-1 --task grasp``
 """
 
 from __future__ import annotations

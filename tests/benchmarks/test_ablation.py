@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +10,13 @@ import numpy as np
 import pytest
 
 import rema_data
-from baselines.tae.checkpoint import Checkpoint, save_checkpoint
+from baselines.tae.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from baselines.tae.network import Architecture, TaeNetwork
 from baselines.tae_policy import TaePolicy
 from baselines.train.command import train
 from benchmarks import ablation
 from benchmarks.policies.displaced import Policy
+from benchmarks.results import RESULTS, ROOT
 from rema_data import grid
 from rema_data.testing import make_release
 from tests.evaluator.policy.batches import make_batch
@@ -33,6 +35,15 @@ def test_every_way_of_training_is_accepted_and_differs_from_the_plan_where_it_sa
     for way in ablation.WAYS.values():
         changed = {name for name, value in asked(way).items() if value != planned[name]}
         assert len(changed) == sum(word.startswith("--") for word in way.options), way
+
+
+def test_the_network_of_the_release_came_out_again() -> None:
+    """As docs/baselines.md says of the one that was trained as planned, on a CPU."""
+    measured = json.loads((RESULTS / "ablation_cpu.json").read_text(encoding="utf-8"))["numbers"]
+    network = ROOT / "releases" / "checkpoints" / ablation.PLAN.stem / ablation.NETWORK.folder / ablation.NETWORK.name
+    if not network.with_suffix(".json").is_file():
+        pytest.skip("a copy without the networks")
+    assert measured["as planned"]["card"]["sha256"] == load_checkpoint(network)[1].sha256
 
 
 def test_labels_are_turned_round_in_a_share_of_the_training_split(tmp_path: Path) -> None:

@@ -279,7 +279,6 @@ import rema_data
 import rema_data.release.folder
 from baselines.train import loop
 from baselines.train.config import TrainingConfig
-from baselines.train.data import open_data
 from baselines.tae.network import Architecture
 release = rema_data.Release(rema_data.release.folder.find_release(Path(sys.argv[1])), cache=Path(sys.argv[2]))
 small = Architecture(width=4)
