@@ -7,7 +7,7 @@ import hashlib
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.policy.interface import ObservationBatch
+from evaluator.policy.contract import ObservationBatch
 
 __all__ = ["observation_numbers"]
 

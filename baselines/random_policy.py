@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from baselines.observation_hash import observation_numbers
-from evaluator.policy.interface import ObservationBatch
+from evaluator.policy.contract import ObservationBatch
 
 __all__ = ["RandomPolicy"]
 

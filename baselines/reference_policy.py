@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from baselines.observation_hash import observation_numbers
 from baselines.scripted_policy import ScriptedPolicy
-from evaluator.policy.interface import ObservationBatch
+from evaluator.policy.contract import ObservationBatch
 from evaluator.sim.footprints import hand_footprints, inner_extents
 from evaluator.sim.parameters import WORLD
 from evaluator.sim.planar import gap

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from baselines.observation_hash import observation_numbers
-from evaluator.policy.interface import ObservationBatch
+from evaluator.policy.contract import ObservationBatch
 from evaluator.sim.parameters import WORLD
 from rema_data import grid
 from rema_data.schema import Primitive, Situation

@@ -14,7 +14,7 @@ from scipy.special import expit
 
 from baselines.tae.checkpoint import load_checkpoint, networks_in
 from baselines.tae.scoring import Scorer
-from evaluator.policy.interface import ObservationBatch
+from evaluator.policy.contract import ObservationBatch
 from rema_data import grid
 from rema_data.errors import InputError
 from rema_data.schema import Embodiment, Primitive, StepKind, skill

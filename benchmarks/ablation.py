@@ -27,8 +27,8 @@ from baselines.rounds.recursion_plan import load_recursion
 from baselines.tae.checkpoint import load_checkpoint
 from baselines.train.loop import train
 from benchmarks.results import ROOT, finish, parser
-from evaluator.comparison import compare
-from evaluator.scored import ScoredRun, read_run
+from evaluator.leaderboard.comparison import compare
+from evaluator.run.scored import ScoredRun, read_run
 from evaluator.statistics import wilson
 from rema_data.loader.release import Release, load
 

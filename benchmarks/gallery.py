@@ -17,7 +17,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from evaluator.preview import play, write_preview
+from evaluator.render.preview import play, write_preview
 from evaluator.sim.parameters import WORLD
 from evaluator.sim.reach import valid_actions
 from evaluator.sim.reference import reference_pick, reference_pinch, tool_steps

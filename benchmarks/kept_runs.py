@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.results import RESULTS
-from evaluator.eligibility import installed_list
+from evaluator.leaderboard.eligibility import installed_list
 from evaluator.protocol import protocol_hash
 
 KEPT = RESULTS / "runs"

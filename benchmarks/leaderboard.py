@@ -15,10 +15,10 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.results import ROOT
-from evaluator.entry import find_entries
-from evaluator.export import markdown_table, matrix
 from evaluator.leaderboard import leaderboard
+from evaluator.leaderboard.export import markdown_table, matrix
 from evaluator.protocol import PROTOCOLS
+from evaluator.run.entry import find_entries
 from rema_data.errors import InputError, RemaError
 
 PAGE = ROOT / "README.md"

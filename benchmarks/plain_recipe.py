@@ -22,10 +22,10 @@ import numpy.typing as npt
 import pybullet
 import pybullet_data
 
+from evaluator.sim.kinds.grasp import POLL_EVERY
 from evaluator.sim.kinematics import base_of
 from evaluator.sim.motion import profile
 from evaluator.sim.parameters import WORLD, WorldParameters
-from evaluator.sim.primitives.grasp import POLL_EVERY
 from evaluator.sim.shapes import boxes, inertia_kg_m2, mass_kg
 from rema_data import grid
 from rema_data.schema import Failure, Placement

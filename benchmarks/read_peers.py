@@ -24,10 +24,10 @@ import torch
 import zarr
 from torch import Tensor
 
+from rema_data.heights import dequantise, unpack_mask
 from rema_data.loader.batch import FloatBatch
 from rema_data.loader.dataset import StepDataset
 from rema_data.loader.release import Release
-from rema_data.quantise import dequantise, unpack_mask
 from rema_data.schema import HEIGHT_STEP_M
 from rema_data.store.block import BlockKey
 from rema_data.store.maps import ARRAYS, MAPS

@@ -30,12 +30,12 @@ import pyarrow.parquet as pq
 from rich.table import Table
 
 from benchmarks.results import ROOT, finish, parser, target
-from evaluator.merge import merge_runs
+from evaluator.runner.merge import merge_runs
 
 RUN = """
 import json, sys, time
 from pathlib import Path
-from evaluator.parts import Part
+from evaluator.runner.shards import Part
 from evaluator.policy import resolve
 from evaluator.runner import EvaluationConfig, run_evaluation
 

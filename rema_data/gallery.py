@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from rema_data.errors import InputError
-from rema_data.quantise import decode_heights, unpack_mask
+from rema_data.heights import decode_heights, unpack_mask
 from rema_data.release.folder import ReleaseFolder
 from rema_data.schema import Observation
 from rema_data.store.block import BlockReader

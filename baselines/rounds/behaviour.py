@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from baselines.rounds.planned import BlockPlan, PolicyUse
-from evaluator.runner.backend import Backend, PolicyProcess
+from evaluator.rollout.backend import Backend, PolicyProcess
 from rema_data.store.block import BlockKey
 
 __all__ = ["Behaviour", "BehaviourPolicies"]

@@ -20,12 +20,13 @@ from baselines.rounds.play import BATCH, Player
 from baselines.rounds.work import WorkFolder, work_path
 from evaluator.engines import Engine, make_engine
 from evaluator.engines.child import call_in_child
-from evaluator.runner import Backend, ProgressSink, Silent, default_backend
+from evaluator.runner import Backend, default_backend
 from rema_data.errors import InputError, PolicyFailureError, RunMismatchError
+from rema_data.progress import Progress, Silent
 from rema_data.release.folder import ReleaseFolder, find_release
 from rema_data.release.manifest import MANIFEST, parse_manifest
-from rema_data.release.mending import Mending
 from rema_data.release.registry import load_published, published
+from rema_data.release.repair import Mending
 from rema_data.release.seal import file_sha256, seal
 from rema_data.schema import SCHEMA_VERSION
 from rema_data.store.block import BlockKey, BlockWriter
@@ -55,7 +56,7 @@ def collect(
     engine: str = "process",
     workers: int | None = None,
     address: str | None = None,
-    progress: ProgressSink | None = None,
+    progress: Progress | None = None,
     backend: Backend | None = None,
     chunk_episodes: int = CHUNK_EPISODES,
 ) -> Collected:
@@ -71,7 +72,7 @@ def collect(
         Every core by default, with ``ray`` every CPU of the cluster. No byte of the release depends on either.
     address : str, optional
         Of the Ray cluster; see ``make_engine``.
-    progress : ProgressSink, optional
+    progress : Progress, optional
     backend : Backend, optional
         The real world and the real host of policies by default.
     chunk_episodes : int
@@ -147,7 +148,7 @@ class _Collection:
     """A plan on its way to one folder of releases."""
 
     def __init__(
-        self, plan: CollectionPlan, output: Path, progress: ProgressSink, backend: Backend, chunk_episodes: int
+        self, plan: CollectionPlan, output: Path, progress: Progress, backend: Backend, chunk_episodes: int
     ) -> None:
         self.plan, self.output, self.progress, self.backend = plan, output, progress, backend
         self.chunk_episodes = chunk_episodes

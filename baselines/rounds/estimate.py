@@ -18,7 +18,8 @@ from baselines.rounds.chunk import Chunk, EncodedChunk
 from baselines.rounds.planned import BlockPlan, CollectionPlan, PolicyUse
 from baselines.rounds.play import Player
 from evaluator.engines import Engine, default_workers, make_engine, worker_count
-from evaluator.runner import Backend, ProgressSink, Silent, default_backend
+from evaluator.runner import Backend, default_backend
+from rema_data.progress import Progress, Silent
 from rema_data.schema import Episode
 from rema_data.store.block import BlockWriter
 
@@ -72,7 +73,7 @@ def estimate(
     engine: str = "process",
     workers: int | None = None,
     address: str | None = None,
-    progress: ProgressSink | None = None,
+    progress: Progress | None = None,
     backend: Backend | None = None,
 ) -> list[Estimate]:
     """Expected seconds and bytes of every block of a plan, from a pilot in this process.
@@ -82,7 +83,7 @@ def estimate(
     plan : CollectionPlan
     engine, workers, address
         As in ``collect``.
-    progress : ProgressSink, optional
+    progress : Progress, optional
     backend : Backend, optional
 
     Raises
@@ -114,7 +115,7 @@ def _kind(block: BlockPlan) -> Kind:
     return block.key.task, block.policies
 
 
-def _measure(player: Player, engine: Engine, block: BlockPlan, folder: Path, progress: ProgressSink) -> _Rates:
+def _measure(player: Player, engine: Engine, block: BlockPlan, folder: Path, progress: Progress) -> _Rates:
     warm, timed = Chunk(block.key, 0, _WARM_UP), Chunk(block.key, _WARM_UP, _WARM_UP + PILOT)
     list(player.play([warm], engine, progress.advance))
     before, start = player.simulate_s, time.perf_counter()

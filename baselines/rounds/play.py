@@ -14,8 +14,8 @@ from baselines.rounds.behaviour import Behaviour
 from baselines.rounds.chunk import Chunk
 from evaluator.engines import Engine, InfraError, Job, JobResult, Shard
 from evaluator.policy import ObservationBatch, PolicyFault
-from evaluator.runner.backend import Backend
-from evaluator.runner.plan import shards
+from evaluator.rollout.backend import Backend
+from evaluator.run.plan import shards
 from evaluator.sim.spawn import collection_generator, draw_episode
 from rema_data.errors import InfrastructureError, PolicyFailureError
 from rema_data.schema import Action, Episode, Observation, Placement, Scenario, Situation, Step

@@ -20,9 +20,9 @@ from baselines.rounds.recursion_plan import NetworkPlan, RecursionPlan, RoundPla
 from baselines.rounds.sealed import check_sealed, players_of
 from baselines.train.loop import Report, train, trained
 from evaluator.policy.shipped import CHECKPOINTS, publish_checkpoint
-from evaluator.runner import ProgressSink
 from rema_data.errors import InputError, MissingFileError
 from rema_data.loader.release import Release, load
+from rema_data.progress import Progress
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, parse_manifest
 from rema_data.release.registry import register
@@ -55,7 +55,7 @@ class Watcher(Protocol):
     """Where a recursion says how far it is."""
 
     @property
-    def sink(self) -> ProgressSink:
+    def sink(self) -> Progress:
         """Progress of collections."""
         ...
 

@@ -24,7 +24,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from baselines.rounds.chunk import Chunk, EncodedChunk
-from evaluator.records import Journal, read_journal
+from evaluator.run.records import Journal, read_journal
 from rema_data.errors import InputError, IntegrityError, RunMismatchError
 from rema_data.storage import storage_errors, write_atomic
 

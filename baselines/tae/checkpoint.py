@@ -24,7 +24,7 @@ from safetensors.torch import load, save
 from torch import Tensor
 
 from baselines.tae.network import Architecture, TaeNetwork
-from evaluator.policy.refusals import conversion_command
+from evaluator.policy.load_errors import conversion_command
 from rema_data.errors import InputError, IntegrityError, MissingFileError
 from rema_data.storage import storage_errors, write_atomic
 

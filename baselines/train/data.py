@@ -20,7 +20,7 @@ from rema_data.loader.batch import StepBatch
 from rema_data.loader.dataset import StepDataset
 from rema_data.loader.release import Release
 from rema_data.manifests import RESTORE, manifests_dir
-from rema_data.release.mending import Mending
+from rema_data.release.repair import Mending
 from rema_data.samplers import BalancedSampler
 from rema_data.verify.leakage import frozen_lists, read_frozen, scene_keys
 

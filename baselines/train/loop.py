@@ -21,7 +21,7 @@ from baselines.train.data import open_data, prepared
 from baselines.train.result import DIVERGED, DivergedError, Trained, check_network_name, save_best, trained
 from baselines.train.state import TrainingState, locked, read_state, state_path, write_state
 from baselines.train.validation import pixel_logits, validate
-from evaluator.runner.environment import source_digest
+from evaluator.run.environment import source_digest
 from rema_data.augment import Augment
 from rema_data.loader.release import Release
 from rema_data.storage import write_atomic

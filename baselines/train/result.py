@@ -16,7 +16,7 @@ from torch import Tensor
 from baselines.tae.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from baselines.train.config import TrainingConfig
 from baselines.train.state import state_path
-from evaluator.runner.environment import code_commit
+from evaluator.run.environment import code_commit
 from rema_data.errors import InputError, IntegrityError, MissingFileError, RemaError, RunMismatchError
 from rema_data.loader.release import Release
 

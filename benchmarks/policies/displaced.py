@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from baselines.observation_hash import observation_numbers
 from baselines.tae_policy import TaePolicy
-from evaluator.policy.interface import ObservationBatch
+from evaluator.policy.contract import ObservationBatch
 from rema_data import grid
 
 __all__ = ["Policy"]

@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from evaluator.export import COLUMNS, cells, titled_groups
 from evaluator.leaderboard import Board, Row
+from evaluator.leaderboard.export import COLUMNS, cells, titled_groups
 
 __all__ = ["print_board"]
 

@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 if TYPE_CHECKING:
-    from evaluator.comparison import Comparison
+    from evaluator.leaderboard.comparison import Comparison
 
 __all__ = ["compare"]
 
@@ -34,8 +34,8 @@ def compare(a: Path, b: Path, as_json: bool) -> None:
 
     Both must be of the same task, protocol and scenario list.
     """
-    from evaluator.comparison import compare as compare_runs
-    from evaluator.entry import read_scored
+    from evaluator.leaderboard.comparison import compare as compare_runs
+    from evaluator.run.entry import read_scored
 
     found = compare_runs(read_scored(a), read_scored(b))
     if as_json:

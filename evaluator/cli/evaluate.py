@@ -64,10 +64,10 @@ def evaluate(
     # Imported here, so that a mistyped option is answered at once.
     from evaluator.cli.progress import StderrProgress
     from evaluator.cli.result import print_result
-    from evaluator.parts import Part
     from evaluator.policy.loading import check_checkpoint, resolve
     from evaluator.policy.shipped import shipped_checkpoint
     from evaluator.runner import EvaluationConfig, run_evaluation
+    from evaluator.runner.shards import Part
 
     spec = resolve(policy)
     part = None if shard is None else Part.parse(shard)

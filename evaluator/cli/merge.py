@@ -21,7 +21,7 @@ def merge(parts: tuple[Path, ...], output: Path, as_json: bool) -> None:
     """
     # Imported here, so that a mistyped option is answered at once.
     from evaluator.cli.result import print_result
-    from evaluator.merge import merge_runs
+    from evaluator.runner.merge import merge_runs
 
     result = merge_runs(parts, output)
     print_result(result.summary, result.folder, as_json)

@@ -162,7 +162,7 @@ def _preview_scenario(
     from evaluator.policy.loading import resolve
 
     import_pybullet()
-    from evaluator.preview import asked, check_action, find_scenario, find_step, play, write_preview
+    from evaluator.render.preview import asked, check_action, find_scenario, find_step, play, write_preview
     from rema_data.schema import to_dict
 
     scenario = find_scenario(task, index, split, protocol)

@@ -35,7 +35,7 @@ class _Rate(ProgressColumn):
 
 
 class StderrProgress:
-    """Shows phases and notes on stderr, as a context manager (the runner's ``ProgressSink``).
+    """Shows phases and notes on stderr, as a context manager (the runner's ``Progress``).
 
     Warnings of the library appear above the bars meanwhile.
     """

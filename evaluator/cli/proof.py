@@ -24,7 +24,7 @@ def proof(path: Path, episode: int | None, root: str | None, as_json: bool) -> N
     """
     if (episode is None) == (root is None):
         raise InputError("give either --episode or --root", hint="rema proof RUN --episode 7 > proof.json")
-    from evaluator.evidence.proof import check_proof, make_proof
+    from evaluator.run.proof import check_proof, make_proof
 
     if episode is not None:
         click.echo(json.dumps(make_proof(path, episode), indent=2))

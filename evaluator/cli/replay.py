@@ -57,10 +57,10 @@ def replay(
     simulated again. With another simulator than the run's, the share of flips is printed and is no error.
     """
     from evaluator.cli.progress import StderrProgress
-    from evaluator.evidence.signature import read_private_key, read_public_key
     from evaluator.replay import replay as play
     from evaluator.replay import sign
-    from evaluator.runner.simulate import INFRA_LIMIT
+    from evaluator.rollout.simulate import INFRA_LIMIT
+    from evaluator.run.signature import read_private_key, read_public_key
 
     if private_key is not None and not fraction:
         raise InputError(

@@ -41,9 +41,9 @@ def scenarios(
     """
     from evaluator.cli.progress import StderrProgress
     from evaluator.engines import default_workers
-    from evaluator.generate import Picker, write_lists
     from evaluator.policy.loading import check_checkpoint, resolve
     from evaluator.policy.shipped import shipped_checkpoint
+    from evaluator.scenarios.generation import Picker, write_lists
     from rema_data.storage import rema_home
 
     chosen = None

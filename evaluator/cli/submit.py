@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from evaluator.submission import Check
+    from evaluator.leaderboard.submission import Check
 
 __all__ = ["submit"]
 
@@ -26,8 +26,8 @@ def submit(run: Path, name: str, link: str, output: Path | None, only_check: boo
 
     Exit code 3: the run cannot be submitted. The message says which condition it does not meet.
     """
-    from evaluator.entry import encode
-    from evaluator.submission import check_run, make_entry
+    from evaluator.leaderboard.submission import check_run, make_entry
+    from evaluator.run.entry import encode
     from rema_data.errors import InputError
     from rema_data.storage import write_atomic
 

@@ -12,8 +12,8 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
+from evaluator.engines.signals import signal_name
 from evaluator.engines.worker import RAISED, VALUE
-from evaluator.signals import signal_name
 from rema_data.errors import InfrastructureError
 
 __all__ = ["Child", "call_in_child"]

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evaluator.runner.plan import Plan
+from evaluator.run.plan import Plan
 from evaluator.scenarios import SPLITS, ScenarioList, load_list, scenario_id
 from evaluator.sim.reference import prepare
 from evaluator.sim.simulator import Simulator

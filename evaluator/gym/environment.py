@@ -10,9 +10,9 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from evaluator.gym.draws import TRAIN, Draws
-from evaluator.gym.picture import Camera
 from evaluator.protocol import PROTOCOLS
-from evaluator.records import POLICY_FAULT
+from evaluator.render.photographer import Camera
+from evaluator.run.records import POLICY_FAULT
 from evaluator.sim.observation import SLAB_M, observe
 from evaluator.sim.reach import valid_actions
 from evaluator.sim.simulator import Simulator

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from evaluator.entry import read_scored
 from evaluator.leaderboard.ranking import LEVEL, Pair, rank_runs
 from evaluator.leaderboard.row import PUBLISHED, Row, published_rows, row_of
-from evaluator.scored import ScoredRun
+from evaluator.run.entry import read_scored
+from evaluator.run.scored import ScoredRun
 from evaluator.statistics import detectable_difference
 from rema_data.errors import RemaError
 from rema_data.schema import TASKS

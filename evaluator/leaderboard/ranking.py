@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
-from evaluator.eligibility import obstacles
-from evaluator.scored import Outcomes, ScoredRun
+from evaluator.leaderboard.eligibility import obstacles
+from evaluator.run.scored import Outcomes, ScoredRun
 from evaluator.statistics import PairTable, holm, midp_mcnemar, pair_table, tie_letters
 
 __all__ = ["LEVEL", "Pair", "Standing", "rank_runs"]

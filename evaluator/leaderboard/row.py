@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from evaluator.leaderboard.published import published_rate, published_table
-from evaluator.scored import Audit, FunnelStep, ScoredRun
+from evaluator.run.scored import Audit, FunnelStep, ScoredRun
 from evaluator.statistics import error_bounds, rate_interval, z_against_published
 
 __all__ = ["PUBLISHED", "TAGS", "Row", "published_rows", "row_of"]

@@ -14,12 +14,12 @@
 
 from __future__ import annotations
 
+from evaluator.policy.contract import ObservationBatch, Policy, PrivilegedPolicy
 from evaluator.policy.faults import Answer, PolicyFault
 from evaluator.policy.host import PolicyHost
-from evaluator.policy.interface import ObservationBatch, Policy, PrivilegedPolicy
-from evaluator.policy.isolation import Isolation, Wall
-from evaluator.policy.limits import PolicyLimits
 from evaluator.policy.loading import BUILT_INS, PolicySpec, digest, resolve
+from evaluator.policy.sandbox.isolation import Isolation, Wall
+from evaluator.policy.sandbox.limits import PolicyLimits
 from evaluator.policy.shipped import shipped_checkpoint
 
 __all__ = [

@@ -1,7 +1,7 @@
 """The policy's end of the pipes: imports the submitted file, then answers batches until the judge hangs up.
 
-``evaluator.policy.walls`` calls it once the walls stand. Whatever the policy prints goes to the host's log; questions
-and replies have pipes of their own.
+``evaluator.policy.sandbox.kernel`` calls it once the sandbox is up. Whatever the policy prints goes to the host's log;
+questions and replies have pipes of their own.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from evaluator.policy.interface import ObservationBatch
+from evaluator.policy.contract import ObservationBatch
 from evaluator.policy.wire import MAX_HEADER, REPLIES, frame_parts, read_batch, read_frame, situations_from_header
 from rema_data import grid
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.policy.refusals import printable
+from evaluator.policy.load_errors import printable
 from rema_data import grid
 
 __all__ = ["Answer", "FaultReason", "PolicyFault", "check_answer", "check_maps", "reported_fault"]

@@ -7,8 +7,8 @@ import logging
 import numpy as np
 import numpy.typing as npt
 
+from evaluator.policy.contract import ObservationBatch
 from evaluator.policy.faults import Answer, FaultReason, PolicyFault, check_answer, check_maps, reported_fault
-from evaluator.policy.interface import ObservationBatch
 from evaluator.policy.session import PolicySession
 from rema_data import grid
 from rema_data.errors import InputError

@@ -17,12 +17,12 @@ import numpy as np
 import numpy.typing as npt
 import psutil
 
-from evaluator.policy.enclosure import Enclosure
-from evaluator.policy.guard import Guard, descendants, end_family, remove_folder
+from evaluator.engines.signals import signal_name
 from evaluator.policy.output import CappedOutput
-from evaluator.policy.watch import Watch
+from evaluator.policy.sandbox.cleanup import Guard, descendants, end_family, remove_folder
+from evaluator.policy.sandbox.launch_spec import Enclosure
+from evaluator.policy.sandbox.resource_monitor import Watch
 from evaluator.policy.wire import WireError, frame_parts, read_frame
-from evaluator.signals import signal_name
 
 __all__ = ["ChildDeath", "ChildGreed", "ChildNoise", "ChildProcess", "ChildTimeout"]
 
@@ -78,7 +78,7 @@ class _Budget:
 
 
 class ChildProcess:
-    """A policy's process (``evaluator.policy.walls``) in its own session, asked and answering on its standard streams.
+    """A policy's process (``evaluator.policy.sandbox.kernel``), in its own session, asked over its standard streams.
 
     Parameters
     ----------

@@ -10,15 +10,15 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.policy.enclosure import Enclosure
+from evaluator.policy.contract import ObservationBatch
 from evaluator.policy.faults import FaultReason, PolicyFault
-from evaluator.policy.interface import ObservationBatch
-from evaluator.policy.isolation import Isolation, isolation_of
-from evaluator.policy.limits import PolicyLimits
+from evaluator.policy.load_errors import Refusal, printable, refusal_hint
 from evaluator.policy.loading import BUILT_INS, PolicySpec, check_checkpoint
 from evaluator.policy.output import CappedOutput
 from evaluator.policy.process import ChildDeath, ChildGreed, ChildNoise, ChildProcess, ChildTimeout
-from evaluator.policy.refusals import Refusal, printable, refusal_hint
+from evaluator.policy.sandbox.isolation import Isolation, isolation_of
+from evaluator.policy.sandbox.launch_spec import Enclosure
+from evaluator.policy.sandbox.limits import PolicyLimits
 from evaluator.policy.wire import REPLIES, batch_frame, frame_parts
 from rema_data.errors import InputError, SubmissionError
 from rema_data.schema import Situation
@@ -46,7 +46,7 @@ class PolicySession:
     walls : bool
         Whether the kernel is asked to deny the policy what it has no need of; what stands then is in ``isolation``.
     sandbox : str or None
-        A wrapper's command that is put before the policy's, see ``evaluator.policy.sandbox``.
+        A wrapper's command that is put before the policy's, see ``evaluator.policy.sandbox.wrapper``.
 
     Attributes
     ----------

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.policy.interface import ObservationBatch
+from evaluator.policy.contract import ObservationBatch
 from rema_data.schema import Grip, Pinch, Placement, Situation, spec_from_dict, to_dict
 
 __all__ = [

@@ -1,6 +1,6 @@
 """Play a finished run again from its recorded actions: no policy, no weights, no torch.
 
-Two things are checked: that what lies in the folder is what was sealed (``evaluator.evidence``), and that it is true,
+Two things are checked: that what lies in the folder is what was sealed (``evaluator.run``), and that it is true,
 by simulating the recorded actions again and by counting the rows again.
 
 ::

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.evidence.actions import NOT_ASKED, POLICY_ERROR
-from evaluator.evidence.check import Evidence, Finding, row_name
-from evaluator.evidence.header import RUN_FILE
-from evaluator.evidence.seal import ACTIONS_FILE, EPISODES_FILE, SUMMARY_FILE
-from evaluator.runner.plan import Plan
-from evaluator.runner.tally import same_numbers, tally, unfinished
+from evaluator.run.actions import NOT_ASKED, POLICY_ERROR
+from evaluator.run.check import Evidence, Finding, row_name
+from evaluator.run.counts import same_numbers, tally, unfinished
+from evaluator.run.header import RUN_FILE
+from evaluator.run.plan import Plan
+from evaluator.run.seal import ACTIONS_FILE, EPISODES_FILE, SUMMARY_FILE
 from evaluator.scenarios import ScenarioList, load_list
 from rema_data import grid
 from rema_data.errors import RunMismatchError

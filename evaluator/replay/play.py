@@ -12,13 +12,6 @@ import numpy as np
 
 from evaluator.engines import InfraError
 from evaluator.engines.child import call_in_child
-from evaluator.episodes import episodes_table, scenario_columns
-from evaluator.evidence.actions import recorded_actions
-from evaluator.evidence.check import Evidence, Finding, read_evidence, row_name
-from evaluator.evidence.header import RUN_FILE
-from evaluator.evidence.seal import EPISODES_FILE
-from evaluator.evidence.signature import SIGNATURE_FILE, is_signed_by, key_name
-from evaluator.records import Records
 from evaluator.replay.checks import (
     invalid_actions,
     scenarios_of,
@@ -27,13 +20,21 @@ from evaluator.replay.checks import (
     world_differences,
 )
 from evaluator.replay.report import ReplayReport
-from evaluator.runner import Backend, ProgressSink, Silent, default_backend
-from evaluator.runner.plan import Plan
-from evaluator.runner.simulate import pending_jobs, simulate_jobs
-from evaluator.runner.tally import unfinished
+from evaluator.rollout.simulate import pending_jobs, simulate_jobs
+from evaluator.run.actions import recorded_actions
+from evaluator.run.check import Evidence, Finding, read_evidence, row_name
+from evaluator.run.counts import unfinished
+from evaluator.run.header import RUN_FILE
+from evaluator.run.plan import Plan
+from evaluator.run.records import Records
+from evaluator.run.seal import EPISODES_FILE
+from evaluator.run.signature import SIGNATURE_FILE, is_signed_by, key_name
+from evaluator.run.tables import episodes_table, scenario_columns
+from evaluator.runner import Backend, default_backend
 from evaluator.scenarios import ScenarioList
 from evaluator.statistics import clopper_pearson
 from rema_data.errors import InputError
+from rema_data.progress import Progress, Silent
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
@@ -50,7 +51,7 @@ def replay(
     workers: int | None = None,
     address: str | None = None,
     public_key: Ed25519PublicKey | None = None,
-    progress: ProgressSink | None = None,
+    progress: Progress | None = None,
     backend: Backend | None = None,
 ) -> ReplayReport:
     """Check a finished run: its seal, its signature, its statistics, and a share of its episodes by simulation.
@@ -68,7 +69,7 @@ def replay(
         See ``EvaluationConfig``.
     public_key : Ed25519PublicKey, optional
         Must have signed the run.
-    progress : ProgressSink, optional
+    progress : Progress, optional
     backend : Backend, optional
         The real world by default; its policy is not used.
 
@@ -101,7 +102,7 @@ class _Replay:
     """A replay under way: collects findings and counts."""
 
     def __init__(
-        self, evidence: Evidence, fraction: float, seed: int | None, progress: ProgressSink, backend: Backend
+        self, evidence: Evidence, fraction: float, seed: int | None, progress: Progress, backend: Backend
     ) -> None:
         self.evidence, self.fraction, self.seed = evidence, fraction, seed
         self.progress, self.backend = progress, backend

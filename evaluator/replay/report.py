@@ -7,9 +7,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evaluator.evidence.check import Finding
-from evaluator.evidence.header import RUN_FILE
-from evaluator.evidence.signature import SIGNATURE_FILE
+from evaluator.run.check import Finding
+from evaluator.run.header import RUN_FILE
+from evaluator.run.signature import SIGNATURE_FILE
 from rema_data.errors import InputError, IntegrityError, RunMismatchError
 from rema_data.storage import write_atomic
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from evaluator.report.finished import FinishedRun, Row
+from evaluator.scenarios.strata import strata, targets_of_run
 from evaluator.statistics import rate_interval
-from evaluator.strata import strata, targets_of_run
 from rema_data import grid
 
 __all__ = ["Breakdown", "Group", "PlaceMap", "breakdowns", "group", "place_map"]

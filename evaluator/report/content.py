@@ -12,7 +12,7 @@ import numpy as np
 from evaluator.protocol import protocol, protocol_hash
 from evaluator.report.breakdown import Group
 from evaluator.report.finished import FinishedRun
-from evaluator.runner.summary import PHASES
+from evaluator.run.summary import PHASES
 from evaluator.statistics import clopper_pearson, format_rate, percent, rate_interval
 from rema_data.schema import TASKS
 

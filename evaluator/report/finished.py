@@ -14,10 +14,10 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from evaluator.episodes import episodes_schema
-from evaluator.evidence.header import read_header
-from evaluator.records import ANSWERS, read_journal
-from evaluator.scored import acting_steps, read_run
+from evaluator.run.header import read_header
+from evaluator.run.records import ANSWERS, read_journal
+from evaluator.run.scored import acting_steps, read_run
+from evaluator.run.tables import episodes_schema
 from rema_data.errors import IntegrityError, MissingFileError
 
 __all__ = ["FinishedRun", "read_finished"]

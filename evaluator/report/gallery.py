@@ -8,15 +8,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from evaluator.preview import EVIDENCE
-from evaluator.report.film import FilmMaker, Take, agreement
+from evaluator.render.film import FilmMaker, Take, agreement
+from evaluator.render.images import Photographer, Photographs, draw_action, draw_scores
+from evaluator.render.preview import EVIDENCE
 from evaluator.report.finished import FinishedRun, Row
-from evaluator.report.images import Photographer, Photographs, draw_action, draw_scores
 from evaluator.report.scores import Scored
 from evaluator.report.selection import Chosen
-from evaluator.runner.config import ProgressSink
 from evaluator.sim.observation import observe
 from rema_data import grid
+from rema_data.progress import Progress
 from rema_data.schema import TASKS, Embodiment, Failure, Primitive, Scenario
 
 __all__ = ["MARKUP", "MEANING", "Card", "fit", "make_cards", "with_scores"]
@@ -73,7 +73,7 @@ class Card:
 
 
 def make_cards(
-    run: FinishedRun, scenarios: Sequence[Scenario], chosen: Sequence[Chosen], progress: ProgressSink
+    run: FinishedRun, scenarios: Sequence[Scenario], chosen: Sequence[Chosen], progress: Progress
 ) -> list[Card]:
     """Play the chosen episodes again and picture them.
 
@@ -83,7 +83,7 @@ def make_cards(
     scenarios : sequence of Scenario
         The list of the run.
     chosen : sequence of Chosen
-    progress : ProgressSink
+    progress : Progress
     """
     progress.phase("play again", len(chosen))
     faults = {fault["index"]: fault for fault in run.faults()}

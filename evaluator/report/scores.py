@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluator.policy import ObservationBatch, PolicyFault, PolicyHost
+from evaluator.policy.load_errors import printable
 from evaluator.policy.loading import PolicySpec, digest
-from evaluator.policy.refusals import printable
 from evaluator.report.breakdown import Group, group
 from evaluator.report.finished import FinishedRun, Row
 from evaluator.report.selection import spread

@@ -13,10 +13,10 @@ from evaluator.report import content
 from evaluator.report.breakdown import breakdowns, place_map
 from evaluator.report.finished import FinishedRun, Row, read_finished
 from evaluator.report.selection import Chosen, choose
-from evaluator.runner.config import ProgressSink, Silent
 from evaluator.scenarios import ScenarioList, load_list
 from evaluator.statistics import percent
 from rema_data.errors import InputError, RemaError
+from rema_data.progress import Progress, Silent
 from rema_data.storage import write_atomic
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ class WrittenReport:
 
 
 def write_report(
-    run: Path, output: Path | None = None, options: ReportOptions | None = None, progress: ProgressSink | None = None
+    run: Path, output: Path | None = None, options: ReportOptions | None = None, progress: Progress | None = None
 ) -> WrittenReport:
     """Write the page of a finished run.
 
@@ -112,7 +112,7 @@ def write_report(
     output : Path, optional
         ``report.html`` in the run folder by default.
     options : ReportOptions, optional
-    progress : ProgressSink, optional
+    progress : Progress, optional
 
     Raises
     ------
@@ -130,8 +130,8 @@ def write_report(
     options, progress = options or ReportOptions(), progress or Silent()
     finished = read_finished(run)
     try:
+        from evaluator.render.images import FILM, MAP_PIXELS, PHOTO
         from evaluator.report.gallery import MEANING, fit
-        from evaluator.report.images import FILM, MAP_PIXELS, PHOTO
         from evaluator.report.page import render
     except ImportError as error:
         raise InputError(
@@ -232,7 +232,7 @@ class _Pictures:
         return note
 
 
-def _pictures(run: FinishedRun, options: ReportOptions, progress: ProgressSink) -> _Pictures:
+def _pictures(run: FinishedRun, options: ReportOptions, progress: Progress) -> _Pictures:
     from evaluator.report.gallery import make_cards, with_scores
     from evaluator.report.scores import Asked, ask_scores, calibration, check_policy, scored_episodes, situation_of
 

@@ -7,16 +7,14 @@ and ``summary``, ``backend`` (what tests exchange).
 
 from __future__ import annotations
 
-from evaluator.runner.backend import Backend, default_backend
-from evaluator.runner.config import EvaluationConfig, EvaluationResult, ProgressSink, Silent
+from evaluator.rollout.backend import Backend, default_backend
+from evaluator.runner.config import EvaluationConfig, EvaluationResult
 from evaluator.runner.run import run_evaluation
 
 __all__ = [
     "Backend",
     "EvaluationConfig",
     "EvaluationResult",
-    "ProgressSink",
-    "Silent",
     "default_backend",
     "run_evaluation",
 ]

@@ -19,11 +19,11 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluator.engines import Job
-from evaluator.episodes import verdict
 from evaluator.policy import ObservationBatch, PolicyFault
-from evaluator.records import Answered, Ledger, Records, same_outcome
-from evaluator.runner.backend import PolicyProcess
-from evaluator.runner.plan import Plan
+from evaluator.rollout.backend import PolicyProcess
+from evaluator.run.plan import Plan
+from evaluator.run.records import Answered, Ledger, Records, same_outcome
+from evaluator.run.tables import verdict
 from evaluator.statistics import clopper_pearson
 from rema_data.schema import Observation, Situation, StepOutcome
 

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from evaluator.engines import ENGINES
 from rema_data.errors import InputError
 from rema_data.schema import check_task
 
 if TYPE_CHECKING:
-    from evaluator.parts import Part
     from evaluator.policy.loading import PolicySpec
+    from evaluator.runner.shards import Part
 
-__all__ = ["ORDERS", "PROTOCOLS", "EvaluationConfig", "EvaluationResult", "ProgressSink", "Silent"]
+__all__ = ["ORDERS", "PROTOCOLS", "EvaluationConfig", "EvaluationResult"]
 
 PROTOCOLS = ("conditional", "end-to-end")
 MAX_BATCH = 4096
@@ -47,7 +47,7 @@ class EvaluationConfig:
     address : str or None
         Of the Ray cluster.
     shard : Part or None
-        Play these of the scenarios only: ``evaluator.merge`` puts the parts together.
+        Play these of the scenarios only: ``evaluator.runner.merge`` puts the parts together.
     batch_size : int
         Observations in one question to the policy. Batches are fixed by scenario order, also after a resume.
     order : {"shuffled", "forward", "reverse"}
@@ -56,7 +56,7 @@ class EvaluationConfig:
         Share of the episodes that are repeated at the end to see whether they come out the same (some tens at least);
         0 repeats none, and the summary's ``audit`` is then null.
     sandbox : str or None
-        Wrapper of the policy's process, such as bwrap: see ``evaluator.policy.sandbox``.
+        Wrapper of the policy's process, such as bwrap: see ``evaluator.policy.sandbox.wrapper``.
 
     Raises
     ------
@@ -118,32 +118,3 @@ class EvaluationResult:
 
     folder: Path
     summary: dict[str, Any]
-
-
-class ProgressSink(Protocol):
-    """Where a run says how far it is."""
-
-    def phase(self, name: str, total: int) -> None:
-        """A phase begins (``observe``, ``infer``, ``simulate``, ``audit``, ``replay``) that has ``total`` items."""
-        ...
-
-    def advance(self, n: int) -> None:
-        """So many items more of the present phase are done."""
-        ...
-
-    def note(self, text: str) -> None:
-        """Something worth a line."""
-        ...
-
-
-class Silent:
-    """A sink that shows nothing."""
-
-    def phase(self, name: str, total: int) -> None:
-        """Ignore."""
-
-    def advance(self, n: int) -> None:
-        """Ignore."""
-
-    def note(self, text: str) -> None:
-        """Ignore."""

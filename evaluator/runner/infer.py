@@ -8,12 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluator.policy import ObservationBatch, PolicyFault
-from evaluator.records import Answered, Ledger
-from evaluator.runner.backend import PolicyProcess
-from evaluator.runner.bank import Block, ObservationBank
-from evaluator.runner.config import ProgressSink
+from evaluator.rollout.backend import PolicyProcess
+from evaluator.run.records import Answered, Ledger
+from evaluator.runner.observation_cache import Block, ObservationBank
 from evaluator.runner.observe import Batch
 from rema_data.errors import PolicyFailureError
+from rema_data.progress import Progress
 from rema_data.schema import Situation
 
 __all__ = ["FAULT_CHECK", "FAULT_LIMIT", "check_faults", "infer_batches"]
@@ -30,7 +30,7 @@ def infer_batches(
     wanted: Sequence[Batch],
     valid: npt.NDArray[np.bool_],
     ledger: Ledger,
-    progress: ProgressSink,
+    progress: Progress,
 ) -> None:
     """Ask the policy about ``wanted`` and record its answers.
 
@@ -42,7 +42,7 @@ def infer_batches(
         Of one step.
     valid : bool (64, 64, 16)
     ledger : Ledger
-    progress : ProgressSink
+    progress : Progress
 
     Raises
     ------

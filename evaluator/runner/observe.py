@@ -6,8 +6,8 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from evaluator.runner.bank import ObservationBank
-from evaluator.runner.config import ProgressSink
+from evaluator.runner.observation_cache import ObservationBank
+from rema_data.progress import Progress
 from rema_data.schema import Situation
 
 __all__ = ["Batch", "batches", "observe_batches", "shuffled"]
@@ -86,7 +86,7 @@ def shuffled(wanted: Sequence[Batch], salt: str) -> list[Batch]:
     return [mixed(batch) for block in in_order for batch in sorted(blocks[block], key=lambda one: rank(one.indices[0]))]
 
 
-def observe_batches(bank: ObservationBank, wanted: Sequence[Batch], progress: ProgressSink) -> None:
+def observe_batches(bank: ObservationBank, wanted: Sequence[Batch], progress: Progress) -> None:
     """Put the blocks of ``wanted`` into the bank, one at a time.
 
     Raises

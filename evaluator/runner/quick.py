@@ -13,16 +13,17 @@ from typing import Any
 
 import pyarrow as pa
 
-from evaluator.comparison import paired_outcomes
-from evaluator.evidence.header import RUN_FILE, read_header
-from evaluator.evidence.seal import SUMMARY_FILE
-from evaluator.runner.backend import Backend, default_backend
-from evaluator.runner.config import EvaluationConfig, EvaluationResult, ProgressSink
+from evaluator.leaderboard.comparison import paired_outcomes
+from evaluator.rollout.backend import Backend, default_backend
+from evaluator.run.header import RUN_FILE, read_header
+from evaluator.run.scored import ScoredRun, read_run
+from evaluator.run.seal import SUMMARY_FILE
+from evaluator.runner.config import EvaluationConfig, EvaluationResult
 from evaluator.runner.run import run_evaluation
 from evaluator.scenarios import load_list
-from evaluator.scored import ScoredRun, read_run
 from evaluator.statistics import QuickLook
 from rema_data.errors import InputError
+from rema_data.progress import Progress
 
 __all__ = ["FIRST_LOOK", "quick_evaluation"]
 
@@ -33,7 +34,7 @@ FIRST_LOOK = 100
 def quick_evaluation(
     config: EvaluationConfig,
     against: Path,
-    progress: ProgressSink | None = None,
+    progress: Progress | None = None,
     *,
     backend: Backend | None = None,
 ) -> EvaluationResult:
@@ -44,7 +45,7 @@ def quick_evaluation(
     config : EvaluationConfig
     against : Path
         Folder of a run of the same task, split and protocol.
-    progress : ProgressSink, optional
+    progress : Progress, optional
     backend : Backend, optional
 
     Returns

@@ -12,21 +12,22 @@ import pyarrow as pa
 
 from evaluator.engines import worker_count
 from evaluator.engines.child import call_in_child
-from evaluator.episodes import verdict
-from evaluator.records import Ledger
+from evaluator.rollout.backend import Backend, PolicyProcess, default_backend
+from evaluator.rollout.simulate import INFRA_LIMIT, check_infrastructure, pending_jobs, simulate_jobs
+from evaluator.run.folder import RunFolder
+from evaluator.run.plan import Plan
+from evaluator.run.records import Ledger
+from evaluator.run.summary import PHASES
+from evaluator.run.tables import verdict
 from evaluator.runner.audit import ask_again, audit_summary, jobs_again, repeats
-from evaluator.runner.backend import Backend, PolicyProcess, default_backend
-from evaluator.runner.bank import ObservationBank
-from evaluator.runner.config import EvaluationConfig, EvaluationResult, ProgressSink, Silent
-from evaluator.runner.ending import seal_run, write_tables
-from evaluator.runner.folder import RunFolder
+from evaluator.runner.config import EvaluationConfig, EvaluationResult
+from evaluator.runner.finalize import seal_run, write_tables
 from evaluator.runner.infer import check_faults, infer_batches
+from evaluator.runner.observation_cache import ObservationBank
 from evaluator.runner.observe import batches, observe_batches, shuffled
-from evaluator.runner.plan import Plan
-from evaluator.runner.simulate import INFRA_LIMIT, check_infrastructure, pending_jobs, simulate_jobs
-from evaluator.runner.summary import PHASES
 from evaluator.scenarios import ScenarioList, load_list
 from rema_data.errors import InputError, PolicyFailureError, SubmissionError
+from rema_data.progress import Progress, Silent
 from rema_data.schema import Situation
 from rema_data.storage import rema_home
 
@@ -37,7 +38,7 @@ Look = Callable[[pa.Table], dict[str, Any]]
 
 def run_evaluation(
     config: EvaluationConfig,
-    progress: ProgressSink | None = None,
+    progress: Progress | None = None,
     *,
     backend: Backend | None = None,
     look: Look | None = None,
@@ -48,7 +49,7 @@ def run_evaluation(
     ----------
     config : EvaluationConfig
         A run folder that exists is resumed: what is recorded there is neither asked nor simulated again.
-    progress : ProgressSink, optional
+    progress : Progress, optional
     backend : Backend, optional
         The real world by default.
     look : callable, optional
@@ -108,7 +109,7 @@ class _Run:
     def __init__(
         self,
         config: EvaluationConfig,
-        progress: ProgressSink,
+        progress: Progress,
         backend: Backend,
         scenarios: ScenarioList,
         folder: RunFolder,

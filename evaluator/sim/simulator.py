@@ -6,8 +6,8 @@ import math
 from typing import Any
 
 from evaluator.sim.attempt import Attempt, Ended, Hand
+from evaluator.sim.kinds import grasp, pincer, pinched_push, push
 from evaluator.sim.parameters import WORLD, WorldParameters
-from evaluator.sim.primitives import grasp, pincer, pinched, push
 from evaluator.sim.reach import acting_arm, hand_yaws
 from evaluator.sim.world import Unstable, World
 from rema_data import grid
@@ -92,7 +92,7 @@ class Simulator:
             if kind.embodiment is Embodiment.STICKS:
                 pinch = pincer.pincer(attempt, pose)
             elif kind.embodiment is Embodiment.PINCHED:
-                pinched.push_pinched(attempt, pose)
+                pinched_push.push_pinched(attempt, pose)
             elif kind.primitive is Primitive.GRASP:
                 grip = grasp.grasp(attempt, (x, y, yaw))
             else:

@@ -16,7 +16,7 @@ import pyarrow.compute as pc
 from rema_data.convert.base import Maps
 from rema_data.errors import InputError, IntegrityError
 from rema_data.grid import SCENE_HALF_M
-from rema_data.quantise import dequantise, pack_mask, quantise, unpack_mask
+from rema_data.heights import dequantise, pack_mask, quantise, unpack_mask
 from rema_data.store.columns import Column
 
 __all__ = [

@@ -69,7 +69,7 @@ class MapArrays:
     ee_depth : int16 (maps, 2, 112, 112)
         Height above the end effector's lowest allowed point, 0.1 mm.
     ee_mask : uint8 (maps, 2, 112, 14)
-        Packed: see ``rema_data.quantise.unpack_mask``.
+        Packed: see ``rema_data.heights.unpack_mask``.
     """
 
     scene: Array

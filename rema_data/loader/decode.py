@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from rema_data.errors import IntegrityError, MissingFileError
 from rema_data.grid import EE_PIXELS, SCENE_PIXELS
+from rema_data.heights import decode_heights
 from rema_data.loader.index import Categories, Index, encode_steps
-from rema_data.quantise import decode_heights
-from rema_data.release.mending import Mending
+from rema_data.release.repair import Mending
 
 if TYPE_CHECKING:
     from rema_data.release.folder import ReleaseFolder

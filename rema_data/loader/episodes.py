@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING
 
-from rema_data.quantise import unpack_mask
+from rema_data.heights import unpack_mask
 from rema_data.schema import Episode, Observation, Situation, Step, StepOutcome
 from rema_data.store.tables import action_of, outcome_of, situation_of
 

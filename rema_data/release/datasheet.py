@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Sequence
 
-from rema_data.quantise import HEIGHT_ERROR_M, HEIGHT_OFFSET_M, MISSING
+from rema_data.heights import HEIGHT_ERROR_M, HEIGHT_OFFSET_M, MISSING
 from rema_data.release.licences import licence_url
 from rema_data.release.manifest import BlockEntry, Manifest
 from rema_data.schema import HEIGHT_STEP_M, TASKS, Failure

@@ -72,7 +72,7 @@ class ReleaseFolder:
         here = {block.key for block in self.blocks()}
         missing = [block.key for block in wanted if block.key not in here]
         if missing:
-            from rema_data.release.mending import Mending
+            from rema_data.release.repair import Mending
 
             raise MissingFileError(
                 f"{len(missing)} blocks of {self.manifest.name} are not on this machine, the first one "
@@ -82,7 +82,7 @@ class ReleaseFolder:
             )
 
     def _mend(self, path: Path) -> str:
-        from rema_data.release.mending import Mending
+        from rema_data.release.repair import Mending
 
         return Mending(self).at(path)
 
@@ -153,7 +153,7 @@ def _parse_beside_data(path: Path) -> Manifest:
     try:
         return parse_manifest(path.read_bytes(), str(path))
     except IntegrityError as error:
-        from rema_data.release.mending import mend_manifest
+        from rema_data.release.repair import mend_manifest
 
         error.hint = mend_manifest(path)
         raise

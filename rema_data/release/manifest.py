@@ -17,7 +17,7 @@ from functools import cached_property
 from typing import Any
 
 from rema_data.errors import InputError, IntegrityError, RemaError
-from rema_data.quantise import HEIGHT_ERROR_M, HEIGHT_OFFSET_M, MISSING
+from rema_data.heights import HEIGHT_ERROR_M, HEIGHT_OFFSET_M, MISSING
 from rema_data.release.fields import check_day, check_order, check_path, record
 from rema_data.schema import HEIGHT_STEP_M, SCHEMA_VERSION, TASKS
 from rema_data.store.keys import BlockKey

@@ -12,13 +12,13 @@ import numpy.typing as npt
 
 from rema_data.errors import InputError
 from rema_data.samplers.arguments import one_of, rank_and_world, refuse_mixed_splits, whole
+from rema_data.samplers.batch_plan import ExactPlan, LotteryPlan, Plan
+from rema_data.samplers.epoch_state import ResumableOrder
 from rema_data.samplers.epochs import Epoch, EpochShape, Tail, cut_epoch, draws_of_epoch
-from rema_data.samplers.passes import ResumableOrder
-from rema_data.samplers.plans import ExactPlan, LotteryPlan, Plan
 from rema_data.samplers.report import SamplerReport, make_report
+from rema_data.samplers.row_order import Cycle, Independent, Replacement, Walk, bits, shuffled, stream_key
 from rema_data.samplers.shares import Target, target_shares
 from rema_data.samplers.strata import describe_label, label_text, stratify, table_of
-from rema_data.samplers.walks import Cycle, Independent, Replacement, Walk, bits, shuffled, stream_key
 
 __all__ = ["BalancedSampler", "FlatSampler"]
 

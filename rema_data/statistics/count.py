@@ -14,7 +14,7 @@ import numpy as np
 
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import BlockEntry
-from rema_data.release.mending import Mending
+from rema_data.release.repair import Mending
 from rema_data.schema import TASKS, skill
 from rema_data.store.block import BlockReader
 

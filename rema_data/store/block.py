@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from rema_data.quantise import encode_heights, pack_mask
+from rema_data.heights import encode_heights, pack_mask
 from rema_data.schema import Episode, Observation
 from rema_data.storage import write_atomic
 from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS

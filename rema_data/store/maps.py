@@ -3,7 +3,7 @@
 ========== ====== ================== ==========================================================
 array      dtype  shape              content
 ========== ====== ================== ==========================================================
-scene      uint16 (steps, 64, 64)    height above the table, fixed point (``rema_data.quantise``)
+scene      uint16 (steps, 64, 64)    height above the table, fixed point (``rema_data.heights``)
 ee_depth   uint16 (M, 2, 112, 112)   end-effector height of two states, fixed point
 ee_mask    uint8  (M, 2, 112, 14)    may the topmost body touch the target: eight pixels a byte
 ========== ====== ================== ==========================================================
@@ -28,7 +28,7 @@ from zarr.storage import LocalStore
 
 from rema_data.errors import IntegrityError, MissingFileError
 from rema_data.grid import EE_PIXELS, SCENE_PIXELS
-from rema_data.quantise import HEIGHT_ERROR_M, HEIGHT_OFFSET_M, MISSING
+from rema_data.heights import HEIGHT_ERROR_M, HEIGHT_OFFSET_M, MISSING
 from rema_data.schema import HEIGHT_STEP_M
 from rema_data.storage import storage_errors
 from rema_data.store.hints import Mend, ask_verify

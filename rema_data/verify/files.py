@@ -9,8 +9,8 @@ from typing import Protocol
 from rema_data.download.part import SUFFIX
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, BlockEntry, FileEntry
-from rema_data.release.mending import Mending, is_download
 from rema_data.release.registry import published
+from rema_data.release.repair import Mending, is_download
 from rema_data.release.seal import file_sha256
 from rema_data.schema import TASKS
 from rema_data.verify.findings import Findings

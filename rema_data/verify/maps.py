@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rema_data.errors import IntegrityError
-from rema_data.quantise import MISSING
+from rema_data.heights import MISSING
 from rema_data.store.maps import ARRAYS, MAPS, MapsReader
 from rema_data.verify.rows import rows_of
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from rema_data.errors import InputError
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST
-from rema_data.release.mending import Mending, is_download
+from rema_data.release.repair import Mending, is_download
 from rema_data.storage import write_atomic
 from rema_data.verify.findings import Report
 

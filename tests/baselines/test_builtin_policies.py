@@ -13,8 +13,8 @@ from scipy.stats import chisquare
 from baselines.random_policy import RandomPolicy
 from baselines.reference_policy import ReferencePolicy
 from baselines.scripted_policy import ScriptedPolicy, nearest_valid
+from evaluator.policy.contract import ObservationBatch, Policy, PrivilegedPolicy
 from evaluator.policy.faults import check_answer
-from evaluator.policy.interface import ObservationBatch, Policy, PrivilegedPolicy
 from evaluator.scenarios import load_list
 from evaluator.sim.observation import observe
 from evaluator.sim.parameters import WORLD

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rema_data.quantise import HEIGHT_OFFSET_M, HEIGHT_OFFSET_STEPS, MISSING, dequantise, unpack_mask
+from rema_data.heights import HEIGHT_OFFSET_M, HEIGHT_OFFSET_STEPS, MISSING, dequantise, unpack_mask
 from rema_data.release.datasheet import column_table
 from rema_data.release.manifest import BlockEntry, FileEntry, Manifest
 from rema_data.schema import HEIGHT_STEP_M, TASKS, Failure

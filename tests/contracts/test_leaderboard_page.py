@@ -10,9 +10,9 @@ from click.testing import CliRunner
 
 from benchmarks.leaderboard import END, PAGE, START, replace_section, section
 from evaluator.cli.main import VERBS, cli
-from evaluator.eligibility import obstacles
-from evaluator.entry import encode, find_entries, read_entry
-from evaluator.submission import make_entry
+from evaluator.leaderboard.eligibility import obstacles
+from evaluator.leaderboard.submission import make_entry
+from evaluator.run.entry import encode, find_entries, read_entry
 from rema_data.errors import InputError
 from rema_data.schema import TASKS
 from tests.evaluator.runs import solved, write_manifests, write_run

@@ -14,17 +14,17 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluator.engines import InfraError
-from evaluator.episodes import episodes_table, to_parquet
-from evaluator.evidence.actions import actions_of, encode_actions
-from evaluator.evidence.header import RUN_FILE, encode_header
-from evaluator.evidence.merkle import merkle_root
-from evaluator.evidence.rows import row_leaves
-from evaluator.evidence.seal import ACTIONS_FILE, EPISODES_FILE, LEAVES_FILE, SUMMARY_FILE, make_seal
 from evaluator.protocol import protocol_hash
-from evaluator.records import Answered, Records, Simulated
-from evaluator.runner.tally import tally
+from evaluator.run.actions import actions_of, encode_actions
+from evaluator.run.counts import tally
+from evaluator.run.header import RUN_FILE, encode_header
+from evaluator.run.merkle import merkle_root
+from evaluator.run.records import Answered, Records, Simulated
+from evaluator.run.rows import row_leaves
+from evaluator.run.scored import acting_steps
+from evaluator.run.seal import ACTIONS_FILE, EPISODES_FILE, LEAVES_FILE, SUMMARY_FILE, make_seal
+from evaluator.run.tables import episodes_table, to_parquet
 from evaluator.scenarios import load_list
-from evaluator.scored import acting_steps
 from rema_data import grid
 from rema_data.schema import Failure, StepOutcome
 from tests.evaluator.fakes import write_fake_list

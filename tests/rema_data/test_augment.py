@@ -18,7 +18,7 @@ from evaluator.sim.observation import observe
 from rema_data.augment import Augment, mirror, rotate, symmetry, translate, turn
 from rema_data.errors import InputError
 from rema_data.grid import ANGLES, PIXEL_M, SCENE_PIXELS, decode, encode, inside_valid_square, to_world
-from rema_data.quantise import pack_mask
+from rema_data.heights import pack_mask
 from rema_data.schema import TASKS, Grip, ObjectSpec, Observation, Pinch, Placement, Shape, Situation
 
 HEIGHT = 300

@@ -16,8 +16,8 @@ import pytest
 from baselines.rounds.recursion import Stage, recurse, train_network
 from baselines.rounds.recursion_plan import load_recursion
 from baselines.tae.checkpoint import load_checkpoint
-from evaluator.runner import ProgressSink, Silent
 from rema_data.errors import InputError, MissingFileError, RunMismatchError
+from rema_data.progress import Progress, Silent
 from rema_data.release.folder import find_release
 from tests.baselines.rounds.fakes import tree
 
@@ -29,7 +29,7 @@ TINY = ROOT / "examples" / "tiny.toml"
 class Quiet:
     """A watcher that remembers stages."""
 
-    sink: ProgressSink = Silent()
+    sink: Progress = Silent()
 
     def __init__(self) -> None:
         self.stages: list[Stage] = []

@@ -12,8 +12,8 @@ from click.testing import CliRunner, Result
 import evaluator.runner
 from evaluator.cli.main import cli
 from evaluator.runner import EvaluationConfig, EvaluationResult
-from evaluator.runner.config import ProgressSink
 from rema_data import errors
+from rema_data.progress import Progress
 
 
 def make_summary(**changes: Any) -> dict[str, Any]:
@@ -51,7 +51,7 @@ class Recorder:
         self.error: BaseException | None = None
         self.summary: dict[str, Any] = make_summary()
 
-    def __call__(self, config: EvaluationConfig, progress: ProgressSink) -> EvaluationResult:
+    def __call__(self, config: EvaluationConfig, progress: Progress) -> EvaluationResult:
         self.config = config
         progress.phase("observe", 10)
         progress.advance(10)

@@ -13,8 +13,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from evaluator.cli.main import cli
-from evaluator.entry import encode
-from evaluator.submission import make_entry
+from evaluator.leaderboard.submission import make_entry
+from evaluator.run.entry import encode
 from tests.evaluator.runs import EPISODES, solved, write_manifests, write_run
 
 Write = Callable[..., Path]

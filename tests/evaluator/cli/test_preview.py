@@ -15,7 +15,7 @@ from click.testing import CliRunner, Result
 from PIL import Image
 
 from evaluator.cli.main import cli
-from evaluator.drawing import HEIGHT, WIDTH
+from evaluator.render.drawing import HEIGHT, WIDTH
 from evaluator.scenarios import VERSION, update_manifest, write_list
 from evaluator.sim.footprints import inner_extents
 from evaluator.sim.shapes import boxes

@@ -102,7 +102,7 @@ def test_without_the_extra_its_name_is_said(missing: str, run: Path, monkeypatch
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
         return real(name, *rest, **named)
 
-    for name in ("evaluator.report.images", "evaluator.report.gallery", "evaluator.report.page"):
+    for name in ("evaluator.render.images", "evaluator.report.gallery", "evaluator.report.page"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setattr(builtins, "__import__", without)
     result = report(str(run))

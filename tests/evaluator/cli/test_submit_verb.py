@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from evaluator.cli.main import cli
-from evaluator.entry import read_entry
+from evaluator.run.entry import read_entry
 from tests.evaluator.runs import solved, write_manifests, write_run
 
 PASSED = solved(0.6, 1)

@@ -18,7 +18,7 @@ from evaluator.engines.base import load_attribute
 from evaluator.engines.child import THREAD_CAPS, call_in_child
 from evaluator.engines.inline import InlineEngine
 from evaluator.engines.process import ProcessEngine
-from evaluator.runner.plan import shards
+from evaluator.run.plan import shards
 from rema_data.errors import InfrastructureError, InputError
 from rema_data.schema import StepOutcome
 from tests.evaluator.fakes import FAULTS, SIMULATOR, FakeSimulator, fake_jobs

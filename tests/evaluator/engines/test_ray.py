@@ -15,8 +15,8 @@ from evaluator.engines import InfraError, Job, JobResult, worker_count
 from evaluator.engines.ray import RayEngine
 from evaluator.policy import resolve
 from evaluator.replay import replay
+from evaluator.run.plan import shards
 from evaluator.runner import EvaluationConfig, run_evaluation
-from evaluator.runner.plan import shards
 from rema_data.errors import InfrastructureError, InputError
 from rema_data.schema import StepOutcome
 from tests.baselines.rounds.fakes import collect_fake, tree, write_plan

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from evaluator.policy.interface import ObservationBatch
+from evaluator.policy.contract import ObservationBatch
 from rema_data import grid
 from rema_data.schema import ObjectSpec, Placement, Shape, Situation
 

@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evaluator.policy import PolicyHost, PolicySpec, allowlist
-from evaluator.policy.allowlist import allowed_for
+from evaluator.policy import PolicyHost, PolicySpec
+from evaluator.policy.sandbox import allowlist
+from evaluator.policy.sandbox.allowlist import allowed_for
 from tests.evaluator.policy.batches import make_batch
 from tests.evaluator.policy.conftest import WritePolicy, skip_without_walls
 from tests.evaluator.policy.test_host_answers import LIMITS, reasons

@@ -14,10 +14,10 @@ import pytest
 
 import evaluator.policy.process
 from evaluator.policy import PolicyHost
-from evaluator.policy.enclosure import Enclosure
-from evaluator.policy.guard import remove_folder
 from evaluator.policy.output import CappedOutput
 from evaluator.policy.process import ChildProcess
+from evaluator.policy.sandbox.cleanup import remove_folder
+from evaluator.policy.sandbox.launch_spec import Enclosure
 from evaluator.policy.wire import frame_parts
 from tests.evaluator.policy.batches import make_batch
 from tests.evaluator.policy.conftest import WritePolicy

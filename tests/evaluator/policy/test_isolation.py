@@ -16,8 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from evaluator.policy import PolicyHost, PolicyLimits, resolve
-from evaluator.policy.isolation import KERNEL_WALLS, NAMESPACES, isolation_of
-from evaluator.policy.sandbox import check_sandbox, wrapped
+from evaluator.policy.sandbox.isolation import KERNEL_WALLS, NAMESPACES, isolation_of
+from evaluator.policy.sandbox.wrapper import check_sandbox, wrapped
 from rema_data.errors import InputError
 from rema_data.manifests import manifests_dir
 from tests.evaluator.policy.batches import make_batch

@@ -11,7 +11,8 @@ import psutil
 import pytest
 
 from evaluator.policy import PolicyHost, PolicySpec
-from evaluator.runner import Silent, run_evaluation
+from evaluator.runner import run_evaluation
+from rema_data.progress import Silent
 from tests.evaluator.fakes import fake_backend, fake_config
 
 from .conftest import WritePolicy
@@ -50,7 +51,7 @@ class Killer(Silent):
 
     def kill(self) -> None:
         for child in psutil.Process().children():
-            if any(word.endswith("walls.py") for word in child.cmdline()):
+            if any(word.endswith("kernel.py") for word in child.cmdline()):
                 child.kill()
                 self.killed.append(child.pid)
 

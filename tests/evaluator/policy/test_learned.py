@@ -14,7 +14,7 @@ import pytest
 
 from evaluator.policy import PolicyHost, PolicyLimits, resolve
 from evaluator.policy.conversion import convert
-from evaluator.policy.refusals import Refusal, refusal_hint
+from evaluator.policy.load_errors import Refusal, refusal_hint
 from rema_data.errors import InputError, MissingFileError, SubmissionError
 from tests.evaluator.policy.batches import make_batch
 from tests.evaluator.policy.conftest import WritePolicy

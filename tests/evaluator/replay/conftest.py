@@ -11,12 +11,12 @@ from typing import Any
 import pyarrow as pa
 import pytest
 
-from evaluator.episodes import to_parquet
-from evaluator.evidence.actions import actions_of, encode_actions
-from evaluator.evidence.header import encode_header
-from evaluator.evidence.merkle import merkle_root
-from evaluator.evidence.rows import row_leaves
-from evaluator.evidence.seal import ACTIONS_FILE, EPISODES_FILE, LEAVES_FILE, SUMMARY_FILE, make_seal
+from evaluator.run.actions import actions_of, encode_actions
+from evaluator.run.header import encode_header
+from evaluator.run.merkle import merkle_root
+from evaluator.run.rows import row_leaves
+from evaluator.run.seal import ACTIONS_FILE, EPISODES_FILE, LEAVES_FILE, SUMMARY_FILE, make_seal
+from evaluator.run.tables import to_parquet
 from evaluator.runner import run_evaluation
 from tests.evaluator.fakes import FakePolicyProcess, fake_backend, fake_config, write_fake_list
 

@@ -18,11 +18,11 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from filelock import FileLock
 
-from evaluator.evidence.actions import POLICY_ERROR, decode_actions
-from evaluator.evidence.check import read_evidence
 from evaluator.replay import ReplayReport, replay, sign
+from evaluator.run.actions import POLICY_ERROR, decode_actions
+from evaluator.run.check import read_evidence
+from evaluator.run.counts import tally
 from evaluator.runner import run_evaluation
-from evaluator.runner.tally import tally
 from evaluator.scenarios import VERSION
 from evaluator.statistics import clopper_pearson
 from rema_data import grid

@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evaluator.episodes import to_parquet
-from evaluator.evidence.check import read_evidence
-from evaluator.evidence.proof import check_proof, make_proof
+from evaluator.run.check import read_evidence
+from evaluator.run.proof import check_proof, make_proof
+from evaluator.run.tables import to_parquet
 from evaluator.scenarios import VERSION
 from rema_data.errors import InputError, IntegrityError, MissingFileError
 

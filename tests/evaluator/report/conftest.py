@@ -13,7 +13,8 @@ import pytest
 
 from evaluator.engines import SIMULATOR
 from evaluator.policy import PolicyFault, PolicySpec
-from evaluator.report import ReportOptions, WrittenReport, images, write_report
+from evaluator.render import images
+from evaluator.report import ReportOptions, WrittenReport, write_report
 from evaluator.runner import EvaluationConfig, run_evaluation
 from evaluator.scenarios import VERSION, update_manifest, write_list
 from evaluator.sim.observation import observe

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from evaluator.render.images import Photographs
 from evaluator.report.breakdown import breakdowns, place_map, reached
 from evaluator.report.finished import FinishedRun, read_finished
 from evaluator.report.gallery import MARKUP, Card, fit
-from evaluator.report.images import Photographs
 from evaluator.report.scores import calibration
 from evaluator.report.selection import SUCCESS, choose, spread
 from evaluator.statistics import rate_interval

@@ -15,11 +15,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from evaluator.eligibility import obstacles
-from evaluator.records import Ledger
+from evaluator.leaderboard.eligibility import obstacles
+from evaluator.run.records import Ledger
+from evaluator.run.scored import read_run
 from evaluator.runner import run_evaluation
 from evaluator.runner.audit import LEAST_EPISODES
-from evaluator.scored import read_run
 from evaluator.statistics import clopper_pearson
 from rema_data.errors import InputError, PolicyFailureError, SubmissionError
 from rema_data.schema import Situation, StepOutcome

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
+from evaluator.run.scored import read_run
 from evaluator.runner import run_evaluation
 from evaluator.runner.quick import FIRST_LOOK, quick_evaluation
-from evaluator.scored import read_run
 from rema_data.errors import InputError, MissingFileError
 from rema_data.schema import Failure, Situation, StepOutcome
 from tests.evaluator.fakes import FakeSimulator, fake_backend, fake_config

@@ -18,10 +18,10 @@ import pyarrow.parquet as pq
 import pytest
 from filelock import FileLock
 
-from evaluator.parts import Part
+from evaluator.run.environment import source_digest
+from evaluator.run.folder import RunFolder
 from evaluator.runner import run_evaluation
-from evaluator.runner.environment import source_digest
-from evaluator.runner.folder import RunFolder
+from evaluator.runner.shards import Part
 from rema_data.errors import (
     InfrastructureError,
     InputError,

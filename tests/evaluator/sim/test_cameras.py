@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from evaluator.sim.cameras import capture_end_effector, capture_scene, point_cloud, scene_camera
 from evaluator.sim.footprints import inner_extents
 from evaluator.sim.observation import end_effector_states, observe, paint_parts
 from evaluator.sim.shapes import boxes
@@ -17,6 +16,7 @@ from evaluator.sim.spawn import draw_placement, draw_spec
 from evaluator.sim.world import World
 from rema_data import grid
 from rema_data.schema import TASKS, Grip, ObjectSpec, Pinch, Placement, Shape, Situation
+from tests.evaluator.sim.cameras import capture_end_effector, capture_scene, point_cloud, scene_camera
 
 Array = npt.NDArray[Any]
 

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from evaluator.sim.attempt import Attempt, Hand
+from evaluator.sim.kinds.push import take_tool
 from evaluator.sim.kinematics import solve_path
 from evaluator.sim.motion import JointPath
 from evaluator.sim.parameters import WORLD, parameters_hash
-from evaluator.sim.primitives.push import take_tool
 from evaluator.sim.reach import valid_actions
 from evaluator.sim.reference import reference_pick, tool_steps
 from evaluator.sim.simulator import Simulator

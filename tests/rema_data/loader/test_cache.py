@@ -17,10 +17,10 @@ import pytest
 
 import rema_data
 from rema_data.errors import IntegrityError, MissingFileError, StorageError
+from rema_data.heights import decode_heights
 from rema_data.loader import cache as caching
 from rema_data.loader.cache import DecodedCache, caches_folder
 from rema_data.loader.record import damaged_files, has_digests, is_whole
-from rema_data.quantise import decode_heights
 from rema_data.release.folder import ReleaseFolder
 
 

@@ -16,9 +16,9 @@ from torch.utils.data import DataLoader, Subset
 
 import rema_data
 from rema_data.errors import InputError
+from rema_data.heights import unpack_mask
 from rema_data.loader.batch import FloatBatch, StepBatch
 from rema_data.loader.dataset import Delivery, StepDataset
-from rema_data.quantise import unpack_mask
 from rema_data.schema import Step
 
 

@@ -100,8 +100,8 @@ def test_resume_on_another_world_size(mode: str, before: int, after: int) -> Non
 
 def test_a_later_position_costs_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
     """No draw before the position is made again, in either mode."""
-    import rema_data.samplers.plans as plans
-    import rema_data.samplers.walks as walks
+    import rema_data.samplers.batch_plan as plans
+    import rema_data.samplers.row_order as walks
 
     made_bits: list[int] = []
     original = walks.bits

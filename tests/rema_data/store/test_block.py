@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rema_data.errors import InputError
-from rema_data.quantise import dequantise, unpack_mask
+from rema_data.heights import dequantise, unpack_mask
 from rema_data.schema import TASKS, Episode
 from rema_data.store.block import SPLITS, BlockKey, BlockReader, BlockWriter, encode_episodes
 from rema_data.testing import make_block, synthetic_episode

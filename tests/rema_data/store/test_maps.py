@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from rema_data.errors import IntegrityError, MissingFileError, StorageError
-from rema_data.quantise import MISSING, quantise
+from rema_data.heights import MISSING, quantise
 from rema_data.store import maps
 from rema_data.store.maps import ARRAYS, MAPS, ArrayFormat, MapsReader, MapsWriter
 

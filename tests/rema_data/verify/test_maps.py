@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rema_data.quantise import MISSING
+from rema_data.heights import MISSING
 from rema_data.release.folder import ReleaseFolder
 from rema_data.store.block import BlockKey
 from rema_data.store.maps import ARRAYS, MapsReader, MapsWriter

@@ -1,0 +1,262 @@
+"""Two runs on the same scenarios: the 2x2 table, the paired difference, where they differ, and what cannot be said."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from evaluator.leaderboard.eligibility import installed_list
+from evaluator.run.scored import Outcomes, ScoredRun
+from evaluator.scenarios.strata import Targets, strata, targets_of_list, targets_of_run
+from evaluator.statistics import (
+    PairTable,
+    benjamini_hochberg,
+    detectable_difference,
+    midp_mcnemar,
+    pair_table,
+    paired_interval,
+    rate_interval,
+)
+from rema_data.errors import InputError, MissingFileError
+
+__all__ = ["Comparison", "StratumRow", "compare", "paired_outcomes"]
+
+_MUST_AGREE = ("task", "split", "protocol")
+_MARKS = ("protocol_hash", "scenarios_hash")
+
+
+@dataclass(frozen=True, slots=True)
+class StratumRow:
+    """The comparison within a stratum; exploratory.
+
+    Attributes
+    ----------
+    by, label : str
+    table : PairTable
+    interval : (float, float)
+        95 % of the difference.
+    p_adjusted : float
+        Mid-p McNemar, Benjamini-Hochberg over all strata.
+    """
+
+    by: str
+    label: str
+    table: PairTable
+    interval: tuple[float, float]
+    p_adjusted: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """A against B on the scenarios that both were measured on.
+
+    Attributes
+    ----------
+    a, b : ScoredRun
+    table : PairTable
+    interval : (float, float)
+        95 % of A's rate minus B's (Newcombe, paired).
+    p : float
+        Mid-p McNemar, two-sided.
+    detectable : float or None
+        Smallest difference that so many scenarios at this discordance find with 80 % power.
+    strata : tuple of StratumRow
+    only_a, only_b : tuple of int
+        Scenarios (numbers in the list) that one solved and the other did not.
+    remarks : tuple of str
+        What limits the comparison.
+    """
+
+    a: ScoredRun
+    b: ScoredRun
+    table: PairTable
+    interval: tuple[float, float]
+    p: float
+    detectable: float | None
+    strata: tuple[StratumRow, ...]
+    only_a: tuple[int, ...]
+    only_b: tuple[int, ...]
+    remarks: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything, ready for JSON; rates and differences are shares in 0..1."""
+        table = self.table
+        return {
+            "task": self.a.task,
+            "split": self.a.split,
+            "protocol": self.a.protocol,
+            "a": _side(self.a, table.both + table.only_a, table.n),
+            "b": _side(self.b, table.both + table.only_b, table.n),
+            **_numbers(table, self.interval),
+            "p": self.p,
+            "detectable_difference": self.detectable,
+            "strata": [
+                {"by": row.by, "label": row.label, **_numbers(row.table, row.interval), "p_adjusted": row.p_adjusted}
+                for row in self.strata
+            ],
+            "discordant": {"only_a": list(self.only_a), "only_b": list(self.only_b)},
+            "remarks": list(self.remarks),
+        }
+
+
+def _side(run: ScoredRun, successes: int, n: int) -> dict[str, Any]:
+    return {
+        "policy": run.policy,
+        "tag": run.tag,
+        "source": str(run.source),
+        "policy_digest": run.marks.policy_digest,
+        "successes": successes,
+        "rate": successes / n,
+        "ci95": list(rate_interval(successes, n)),
+    }
+
+
+def _numbers(table: PairTable, interval: tuple[float, float]) -> dict[str, Any]:
+    return {
+        "n": table.n,
+        "table": dataclasses.asdict(table),
+        "rate_a": table.rate_a,
+        "rate_b": table.rate_b,
+        "difference": table.difference,
+        "difference_ci95": list(interval),
+        "discordance": table.discordance,
+    }
+
+
+def paired_outcomes(run: ScoredRun) -> Outcomes:
+    """The outcomes of a run.
+
+    Raises
+    ------
+    MissingFileError
+        Only its summary is there.
+    """
+    if run.outcomes is None:
+        raise MissingFileError(
+            f"{run.source} has no episodes.parquet: its outcomes by scenario are not known",
+            hint="evaluate the policy again: the same command writes it from the records",
+            path=str(run.source / "episodes.parquet"),
+        )
+    return run.outcomes
+
+
+def compare(a: ScoredRun, b: ScoredRun) -> Comparison:
+    """Compare two runs, scenario by scenario.
+
+    Runs of different length are compared on the scenarios that both have; what one of them lost to the infrastructure
+    is left out and named in the remarks.
+
+    Raises
+    ------
+    InputError
+        They are not of one task, split, protocol and scenario list: the message names the field and both values. Or
+        they share no measured scenario.
+    MissingFileError
+        A run has no ``episodes.parquet``.
+    """
+    _check_comparable(a, b)
+    ours, theirs = paired_outcomes(a), paired_outcomes(b)
+    n = min(len(ours.success), len(theirs.success))
+    counted = ours.eligible[:n] & theirs.eligible[:n]
+    left, right = ours.success[:n], theirs.success[:n]
+    table = pair_table(left, right, counted)
+    targets, excuse = _targets(a, b)
+    shared = ours.played[:n] & theirs.played[:n]
+    remarks = _remarks(a, b, int(shared.sum()), int((shared & ~counted).sum()))
+    return Comparison(
+        a=a,
+        b=b,
+        table=table,
+        interval=paired_interval(table),
+        p=midp_mcnemar(table),
+        detectable=detectable_difference(table.n, table.discordance),
+        strata=() if targets is None else _stratum_rows(targets.first(n), left, right, counted),
+        only_a=tuple(np.flatnonzero(counted & left & ~right).tolist()),
+        only_b=tuple(np.flatnonzero(counted & right & ~left).tolist()),
+        remarks=(*remarks, *([excuse] if excuse else [])),
+    )
+
+
+def _check_comparable(a: ScoredRun, b: ScoredRun) -> None:
+    """Refuse runs that do not compare.
+
+    Raises
+    ------
+    InputError
+        They are not of one task, split, protocol and scenario list: the message names the field and both values.
+    """
+    pairs = [(field, getattr(a, field), getattr(b, field)) for field in _MUST_AGREE]
+    pairs += [(field, getattr(a.marks, field), getattr(b.marks, field)) for field in _MARKS]
+    for field, first, second in pairs:
+        if first != second:
+            raise InputError(
+                f"the runs do not compare: {field} is {first or 'not recorded'} in {a.source} and "
+                f"{second or 'not recorded'} in {b.source}",
+                hint="evaluate both policies with the same task, protocol and scenario list",
+                field=field,
+                a=first,
+                b=second,
+            )
+
+
+def _remarks(a: ScoredRun, b: ScoredRun, n: int, lost: int) -> list[str]:
+    found = []
+    if a.marks.fingerprint != b.marks.fingerprint:
+        found.append(
+            "ANOTHER SIMULATOR: the runs come from different builds or constants of the simulator "
+            f"({_differences(a, b)}). A part of the difference may be the simulator's: evaluate one of them again."
+        )
+    if a.counts.episodes != b.counts.episodes:
+        found.append(f"The runs differ in length: only the {n:,} scenarios that both played are compared.")
+    if lost:
+        found.append(
+            f"{lost:,} scenarios are left out: they have no result in one of the runs. The difference could "
+            f"be {100 * lost / n:.2g} points larger or smaller."
+        )
+    for run in (a, b):
+        if run.unfinished:
+            found.append(
+                f"{run.source}: {run.unfinished:,} of its episodes were not finished. The others need not be a fair "
+                "sample: in a run that was stopped, failures of the policy are counted before anything is simulated."
+            )
+    if a.stopped_early or b.stopped_early:
+        found.append("A run was stopped early because of its outcomes: its interval and p value are too optimistic.")
+    for run in (a, b):
+        if run.nondeterministic:
+            found.append(f"{run.source}: {run.nondeterministic} steps had two different outcomes.")
+    if a.privileged != b.privileged:
+        found.append("One of the policies is privileged: it saw the ground truth.")
+    return found
+
+
+def _differences(a: ScoredRun, b: ScoredRun) -> str:
+    first, second = dict(a.marks.fingerprint or {}), dict(b.marks.fingerprint or {})
+    names = [name for name in sorted({*first, *second}) if first.get(name) != second.get(name)]
+    return ", ".join(f"{name} {str(first.get(name))[:12]} and {str(second.get(name))[:12]}" for name in names)
+
+
+def _targets(a: ScoredRun, b: ScoredRun) -> tuple[Targets | None, str]:
+    """The objects of the scenarios, from a run folder or the installed list; or why they are not known."""
+    for run in (a, b):
+        if run.kind == "run" and paired_outcomes(run).played.all():
+            return targets_of_run(run.source), ""
+    known = installed_list(a.task, a.split)
+    if known is None or known[0] != a.marks.scenarios_hash:
+        return None, "No breakdown: this installation does not have the scenario list of these entries."
+    return targets_of_list(a.task, a.split), ""
+
+
+def _stratum_rows(
+    targets: Targets, a: npt.NDArray[np.bool_], b: npt.NDArray[np.bool_], counted: npt.NDArray[np.bool_]
+) -> tuple[StratumRow, ...]:
+    kept = [stratum for stratum in strata(targets) if (stratum.members & counted).any()]
+    tables = [pair_table(a, b, stratum.members & counted) for stratum in kept]
+    adjusted = benjamini_hochberg([midp_mcnemar(table) for table in tables])
+    return tuple(
+        StratumRow(stratum.by, stratum.label, table, paired_interval(table), p)
+        for stratum, table, p in zip(kept, tables, adjusted, strict=True)
+    )

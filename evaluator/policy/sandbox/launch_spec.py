@@ -1,0 +1,131 @@
+"""What a policy's process is started with: its command, its environment, and what it may reach."""
+
+from __future__ import annotations
+
+import os
+import site
+import sys
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from evaluator.policy.sandbox import kernel
+from evaluator.policy.sandbox.allowlist import allowed_for, packages_folder
+from evaluator.policy.sandbox.limits import PolicyLimits
+from evaluator.policy.sandbox.wrapper import check_sandbox, wrapped
+from rema_data.manifests import manifests_dir
+
+__all__ = ["Enclosure"]
+
+_KEPT_VARIABLES = (
+    "PATH", "USER", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "VIRTUAL_ENV", "CONDA_PREFIX", "PYTHONPATH", "LD_LIBRARY_PATH",
+    "CUDA_HOME", "CUDA_VISIBLE_DEVICES", "HIP_VISIBLE_DEVICES", "OMP_NUM_THREADS", "MKL_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS", "OPENBLAS_CORETYPE", "SYSTEMROOT",
+)  # fmt: skip
+"""All that a policy inherits: enough to find its libraries and its device, nothing about the run."""
+_RUN_FILE = "run.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Enclosure:
+    """Where a policy runs.
+
+    Attributes
+    ----------
+    policy : Path
+        Its file, absolute.
+    checkpoint : Path or None
+        Absolute.
+    limits : PolicyLimits
+    run : Path or None
+        Folder of the run, which the policy must not see.
+    walls : bool
+        Whether the kernel is asked to deny what the policy has no need of.
+    sandbox : str or None
+        A wrapper's command, see ``evaluator.policy.sandbox.wrapper``.
+
+    Raises
+    ------
+    InputError
+        The wrapper's command cannot be used.
+    """
+
+    policy: Path
+    checkpoint: Path | None = None
+    limits: PolicyLimits = field(default_factory=PolicyLimits)
+    run: Path | None = None
+    walls: bool = True
+    sandbox: str | None = None
+
+    def __post_init__(self) -> None:
+        check_sandbox(self.sandbox)
+
+    def command(self, temporary: Path) -> list[str]:
+        """The words that start the process, whose working folder is ``temporary``."""
+        # -P: a folder of modules named like those of the standard library must not come before them.
+        python = [sys.executable, "-P", str(Path(kernel.__file__).resolve())]
+        if self.sandbox is None:
+            return python
+        places = {
+            "tmp": temporary,
+            "policy": self.policy.parent,
+            "checkpoint": self.checkpoint or self.policy.parent,
+            "packages": packages_folder(),
+            "python": Path(sys.prefix),
+            "python_base": Path(sys.base_prefix),
+            "manifests": manifests_dir().resolve(),
+        }
+        return wrapped(check_sandbox(self.sandbox), places, python)
+
+    def environment(self, temporary: Path) -> dict[str, str]:
+        """A small environment: the same for every run, with the folder of this package importable."""
+        kept = {name: os.environ[name] for name in _KEPT_VARIABLES if name in os.environ}
+        inherited = [entry for entry in kept.pop("PYTHONPATH", "").split(os.pathsep) if entry]
+        # A wheel's folder is on the path of the child anyway; naming it would put it before the standard library.
+        root = packages_folder()
+        own = [] if root.name in ("site-packages", "dist-packages") else [str(root)]
+        paths = [os.path.abspath(entry) for entry in (*own, *inherited)]
+        return {
+            **kept,
+            **({"PYTHONPATH": os.pathsep.join(paths)} if paths else {}),
+            **({"PYTHONUSERBASE": site.getuserbase()} if site.ENABLE_USER_SITE else {}),
+            "PYTHONHASHSEED": "0",  # the order of sets must not differ between two runs
+            "PYTHONDONTWRITEBYTECODE": "1",
+            "PYTHONUNBUFFERED": "1",
+            "TORCH_FORCE_WEIGHTS_ONLY_LOAD": "1",  # a pickle is a program
+            "HOME": str(temporary),
+            "TMPDIR": str(temporary),
+        }
+
+    def orders(self, temporary: Path) -> dict[str, Any]:
+        """What ``evaluator.policy.sandbox.kernel`` is told."""
+        limits = {
+            "RLIMIT_CORE": 0,
+            "RLIMIT_DATA": self.limits.memory,
+            "RLIMIT_FSIZE": self.limits.disk_bytes,
+            "RLIMIT_NOFILE": self.limits.open_files,
+        }
+        if os.geteuid() != 0:  # the kernel counts the tasks of every user but root
+            limits["RLIMIT_NPROC"] = _tasks_of_user() + self.limits.tasks
+        allowed = asdict(
+            allowed_for(self.policy, self.checkpoint, temporary, self.environment(temporary), self._runs())
+        )
+        return {"op": "enclose", "walls": self.walls, "limits": limits, "allowed": allowed}
+
+    def _runs(self) -> list[Path]:
+        """The folder of this run, and those beside it."""
+        if self.run is None:
+            return []
+        run = self.run.resolve()
+        beside = run.parent.iterdir() if run.parent.is_dir() else ()
+        return [run, *(folder for folder in beside if (folder / _RUN_FILE).is_file())]
+
+
+def _tasks_of_user() -> int:
+    own, count = os.getuid(), 0
+    for process in psutil.process_iter(["uids", "num_threads"]):
+        uids = process.info["uids"]
+        count += (process.info["num_threads"] or 1) if uids is not None and uids.real == own else 0
+    return count

@@ -1,0 +1,157 @@
+"""Pictures as text for a page: photographs, short animations, and maps, each a ``data:`` address.
+
+Needs pillow and matplotlib, which belong to the extra ``report``.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Self
+
+import matplotlib
+import numpy as np
+import numpy.typing as npt
+import pybullet_data
+from PIL import Image, ImageDraw
+
+from evaluator.render.film import SHOT_EVERY, Take
+from evaluator.render.preview import markers
+from evaluator.render.studio import Marker, Shot, Studio
+from evaluator.sim.parameters import WORLD
+from rema_data import grid
+from rema_data.gallery import GalleryStep
+from rema_data.pictures import scene_map
+from rema_data.schema import Observation
+
+__all__ = ["MAP_PIXELS", "PHOTO", "Photographer", "Photographs", "draw_action", "draw_scores"]
+
+PHOTO = (480, 360)
+FILM = (360, 270)
+"""Width and height of a photograph and of an animation, pixels."""
+MAP_PIXELS = 256
+FRAMES = 18
+"""Of an animation at most."""
+_OVERSAMPLING = 2
+_SLOWER = 1.5
+"""An animation takes so many times the simulated time."""
+_LAST_FRAME_MS = 1500
+_CAMERA: dict[str, Any] = {"eye": (1.62, -0.48, 1.06), "aim": (0.09, 0.0, 0.11), "fov_deg": 23.0}
+_QUALITY = 78
+_SCORE_COLOURS = "magma"
+_RING = ((9, 4, (0, 0, 0)), (8, 2, (255, 255, 255)))
+"""Around the chosen place: radius, width and colour, readable on every colour of a map."""
+
+
+@dataclass(frozen=True, slots=True)
+class Photographs:
+    """A take in pictures, as ``data:`` addresses; ``after`` and ``film`` are None where no arm moved."""
+
+    before: str
+    after: str | None
+    film: str | None
+
+
+class Photographer:
+    """Turns takes into pictures, as a context manager."""
+
+    def __init__(self) -> None:
+        self._studio = Studio(pybullet_data.getDataPath())
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._studio.close()
+
+    def photograph(self, take: Take) -> Photographs:
+        """Before, after, and a short animation between them."""
+        shown = markers(take.situation, take.action)
+        before = _still(self._picture(take.before, shown, PHOTO))
+        if not take.shots:
+            return Photographs(before, None, None)
+        after = _still(self._picture(take.shots[-1], shown, PHOTO))
+        count = min(FRAMES, len(take.shots))
+        chosen = np.linspace(0, len(take.shots) - 1, count).round().astype(int)
+        frames = [self._picture(take.shots[number], shown, FILM) for number in chosen]
+        seconds = len(take.shots) * SHOT_EVERY * WORLD.time_step_s * _SLOWER
+        return Photographs(before, after, _animation(frames, seconds))
+
+    def _picture(self, shot: Shot, shown: Sequence[Marker], size: tuple[int, int]) -> Image.Image:
+        fine = size[0] * _OVERSAMPLING, size[1] * _OVERSAMPLING
+        pixels = self._studio.photograph(shot, shown, fine, **_CAMERA)
+        return Image.fromarray(pixels).resize(size, Image.Resampling.BOX)
+
+
+def draw_action(observation: Observation, action: int, primitive: str) -> str:
+    """The scene map with the action and what acts, 256 pixels wide, as a ``data:`` address.
+
+    Parameters
+    ----------
+    observation : Observation
+    action : int
+        Grid index.
+    primitive : str
+    """
+    x_m, y_m, theta_rad = (float(value) for value in grid.to_world(action))
+    row = {"x_m": x_m, "y_m": y_m, "theta_rad": theta_rad, "primitive": primitive}
+    picture = scene_map(GalleryStep(row, observation))
+    buffer = io.BytesIO()
+    picture.quantize(64, dither=Image.Dither.NONE).save(buffer, "PNG", optimize=True)
+    return _address("image/png", buffer.getvalue())
+
+
+def draw_scores(best: npt.NDArray[np.float32], action: int) -> str:
+    """A map of scores as colours from dark (0) to bright (1), the chosen place ringed, as a ``data:`` address.
+
+    Parameters
+    ----------
+    best : float32 (64, 64)
+        Score of the best valid angle of every place; NaN where none is valid.
+    action : int
+        Grid index of the chosen one.
+    """
+    colours = matplotlib.colormaps[_SCORE_COLOURS](np.nan_to_num(best).clip(0, 1), bytes=True)[..., :3]
+    colours[np.isnan(best)] = 120
+    zoom = MAP_PIXELS // grid.SCENE_PIXELS
+    picture = Image.fromarray(np.ascontiguousarray(np.kron(colours[::-1], np.ones((zoom, zoom, 1), np.uint8))))
+    i, j, _ = (int(value) for value in grid.decode(action))
+    x, y = (j + 0.5) * zoom, MAP_PIXELS - (i + 0.5) * zoom
+    draw = ImageDraw.Draw(picture)
+    for radius, width, colour in _RING:
+        draw.ellipse((x - radius, y - radius, x + radius, y + radius), outline=colour, width=width)
+    buffer = io.BytesIO()
+    picture.save(buffer, "WEBP", quality=_QUALITY)
+    return _address("image/webp", buffer.getvalue())
+
+
+def _still(picture: Image.Image) -> str:
+    buffer = io.BytesIO()
+    picture.save(buffer, "WEBP", quality=_QUALITY)
+    return _address("image/webp", buffer.getvalue())
+
+
+def _animation(frames: Sequence[Image.Image], seconds: float) -> str:
+    each = max(40, round(seconds * 1000 / len(frames)))
+    durations = [each] * (len(frames) - 1) + [_LAST_FRAME_MS]
+    buffer = io.BytesIO()
+    frames[0].save(
+        buffer,
+        "WEBP",
+        save_all=True,
+        append_images=frames[1:],
+        duration=durations,
+        loop=0,
+        quality=_QUALITY,
+        minimize_size=False,
+    )
+    return _address("image/webp", buffer.getvalue())
+
+
+def _address(kind: str, payload: bytes) -> str:
+    return f"data:{kind};base64,{base64.b64encode(payload).decode()}"

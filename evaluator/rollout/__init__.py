@@ -1,0 +1,1 @@
+"""Ask a policy, simulate its answers: what evaluation, audit, collection, scenario picking and previews share."""

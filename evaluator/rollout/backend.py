@@ -1,0 +1,95 @@
+"""What a run is made of besides its configuration: the world and the host of policies, exchangeable in tests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from evaluator.engines import FINGERPRINT, SIMULATOR
+from evaluator.run.environment import source_digest
+from rema_data.schema import Observation, Situation
+
+if TYPE_CHECKING:
+    from evaluator.policy import Answer, ObservationBatch, PolicySpec
+
+__all__ = ["Backend", "PolicyProcess", "default_backend"]
+
+
+class PolicyProcess(Protocol):
+    """What a run needs of ``evaluator.policy.PolicyHost``."""
+
+    @property
+    def privileged(self) -> bool:
+        """Whether the policy is shown the situations."""
+        ...
+
+    def act(self, batch: ObservationBatch, situations: tuple[Situation, ...] | None) -> list[Answer]:
+        """One answer an observation."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Backend:
+    """The parts of a run.
+
+    Attributes
+    ----------
+    observe : callable
+        Situation to Observation.
+    valid_actions : callable
+        (task, step) to bool (64, 64, 16).
+    observation_hash : str
+        Identity of whatever ``observe`` depends on.
+    simulator : str
+        ``module:attribute`` of the simulator's factory.
+    fingerprint : str
+        ``module:attribute`` of a callable that returns the fingerprint of the simulator; called in a process of its
+        own, so that no physics is loaded here.
+    protocol_hash : callable
+        (task, protocol name) to sha256.
+    policy_digest : callable
+        (policy, checkpoint) to sha256.
+    open_policy : callable
+        (policy, checkpoint, device, log file, sandbox command or None) to a context manager that yields the policy's
+        process.
+    """
+
+    observe: Callable[[Situation], Observation]
+    valid_actions: Callable[[str, int], npt.NDArray[np.bool_]]
+    observation_hash: str
+    simulator: str
+    fingerprint: str
+    protocol_hash: Callable[[str, str], str]
+    policy_digest: Callable[[PolicySpec, Path | None], str]
+    open_policy: Callable[[PolicySpec, Path | None, str, Path, str | None], AbstractContextManager[PolicyProcess]]
+
+
+def default_backend() -> Backend:
+    """The real world and the real host."""
+    from evaluator.policy import PolicyHost, digest
+    from evaluator.protocol import protocol_hash
+    from evaluator.sim.observation import observe
+    from evaluator.sim.parameters import parameters_hash
+    from evaluator.sim.reach import valid_actions
+
+    def open_policy(
+        policy: PolicySpec, checkpoint: Path | None, device: str, log: Path, sandbox: str | None
+    ) -> PolicyHost:
+        return PolicyHost(policy, checkpoint, device, log=log, sandbox=sandbox)
+
+    return Backend(
+        observe=observe,
+        valid_actions=valid_actions,
+        observation_hash=f"{parameters_hash()} {source_digest('evaluator.sim')}",
+        simulator=SIMULATOR,
+        fingerprint=FINGERPRINT,
+        protocol_hash=protocol_hash,
+        policy_digest=digest,
+        open_policy=open_policy,
+    )

@@ -1,0 +1,193 @@
+"""The run folder: who it belongs to, who is writing in it, and what every writing process did."""
+
+from __future__ import annotations
+
+import json
+import secrets
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from evaluator.run.environment import environment
+from evaluator.run.header import RUN_FILE, RUN_FORMAT, encode_header, read_header
+from evaluator.run.lock import locked
+from evaluator.run.seal import ACTIONS_FILE, EPISODES_FILE, LEAVES_FILE, SUMMARY_FILE, changed_parts, make_seal
+from evaluator.run.signature import SIGNATURE_FILE
+from rema_data.errors import InputError, RunMismatchError
+from rema_data.storage import storage_errors, write_atomic
+
+__all__ = ["RunFolder"]
+
+TIMINGS_FILE = "timings.parquet"
+_LOG_FILE = "policy.log"
+_RESULTS = (EPISODES_FILE, SUMMARY_FILE)
+_FILES = (RUN_FILE, EPISODES_FILE, ACTIONS_FILE, LEAVES_FILE, TIMINGS_FILE, SUMMARY_FILE, _LOG_FILE, SIGNATURE_FILE)
+
+
+class RunFolder:
+    """``run.json`` and the paths of a run. Use ``RunFolder.locked``.
+
+    Attributes
+    ----------
+    path : Path
+    header : dict
+        Content of ``run.json``.
+    """
+
+    def __init__(self, path: Path, header: dict[str, Any]) -> None:
+        self.path = path
+        self.header = header
+        self._begun = False
+        self._episodes = int(header["episodes"])
+
+    @property
+    def records(self) -> Path:
+        """Folder of the journals."""
+        return self.path / "records"
+
+    @property
+    def repeats(self) -> Path:
+        """Folder of the journals of the audit."""
+        return self.records / "audit"
+
+    @property
+    def segment(self) -> int:
+        """Number under which this process writes, or would."""
+        return len(self.header["segments"]) + (0 if self._begun else 1)
+
+    @property
+    def salt(self) -> str:
+        """What the order of the questions depends on: drawn for this folder, told to no policy."""
+        return str(self.header["salt"])
+
+    @staticmethod
+    @contextmanager
+    def locked(path: Path, identity: Mapping[str, Any], episodes: int) -> Iterator[RunFolder]:
+        """Open the folder of a run for this process alone, creating it where it is missing.
+
+        A folder without records and results belongs to nobody: it is taken over. What a killed process left
+        half-written is swept away.
+
+        Parameters
+        ----------
+        path : Path
+        identity : mapping
+            Everything that two processes must share to write in one folder, ready for JSON.
+        episodes : int
+            At least as many as the run has; more extend it.
+
+        Raises
+        ------
+        RunMismatchError
+            The folder belongs to another run; the message names the field and both values.
+        InputError
+            Another process is writing in it, or it holds records without a ``run.json``.
+        """
+        with storage_errors(path):
+            path.mkdir(parents=True, exist_ok=True)
+        with locked(path, "wait for it, or choose another folder with --output"):
+            _sweep(path)
+            folder = RunFolder(path, _header(path, identity))
+            folder._check(identity, episodes)
+            folder.save()
+            yield folder
+
+    def _check(self, identity: Mapping[str, Any], episodes: int) -> None:
+        wanted = json.loads(json.dumps(dict(identity)))
+        if not any(self.records.glob("*.jsonl")) and not any((self.path / name).exists() for name in _RESULTS):
+            # Nothing was recorded (the policy did not import, say): what comes now may be another run.
+            self.header.update(identity=wanted, policy={}, episodes=episodes, segments=[])
+        for field, value in wanted.items():
+            recorded = self.header["identity"].get(field)
+            if recorded != value:
+                changed = "the policy has changed since: " if field == "policy_digest" else ""
+                raise RunMismatchError(
+                    f"{self.path} belongs to another run: {changed}its {field} is {recorded}, this one's is {value}",
+                    hint="choose another folder with --output, or delete this one",
+                    path=str(self.path),
+                    field=field,
+                    recorded=recorded,
+                    wanted=value,
+                )
+        if episodes < self.header["episodes"]:
+            raise RunMismatchError(
+                f"{self.path} belongs to another run: its episodes are "
+                f"{self.header['episodes']}, this one's {episodes}",
+                hint=f"give --episodes {self.header['episodes']} or more, or choose another folder with --output",
+                path=str(self.path),
+                field="episodes",
+                recorded=self.header["episodes"],
+                wanted=episodes,
+            )
+        self._episodes = episodes  # in the header once more are played: until then its seal holds
+
+    def begin_segment(self, **facts: Any) -> None:
+        """Note in ``run.json`` that this process is about to write; once. A summary of before is none any more."""
+        if self._begun:
+            return
+        (self.path / SUMMARY_FILE).unlink(missing_ok=True)
+        self.header["episodes"] = self._episodes
+        self.header["segments"].append({"number": self.segment, **environment(), **facts})
+        self._begun = True
+        self.save()
+
+    def note_segment(self, **facts: Any) -> None:
+        """Add facts to this process's entry, if it wrote anything."""
+        if self._begun:
+            self.header["segments"][-1].update(facts)
+            self.save()
+
+    def set_policy(self, **facts: Any) -> None:
+        """Add facts about the policy that show once it runs."""
+        self.header["policy"].update(facts)
+        self.save()
+
+    def save(self) -> None:
+        """Write ``run.json`` atomically, without its seal where that is of another content."""
+        if changed_parts(self.header):
+            del self.header["seal"]
+        payload = encode_header(self.header)
+        signature = self.path / SIGNATURE_FILE
+        if signature.exists() and payload.encode() != (self.path / RUN_FILE).read_bytes():
+            signature.unlink()  # it was made over what is replaced now
+        self.write(RUN_FILE, payload)
+
+    def seal(self, files: Mapping[str, bytes], *, root: bytes, steps: Sequence[int], unfinished: int) -> None:
+        """Put a seal over ``run.json`` and ``files``, which are written already; see ``make_seal``."""
+        self.header["episodes"] = self._episodes
+        self.header["seal"] = make_seal(self.header, files, root=root, steps=steps, unfinished=unfinished)
+        self.save()
+
+    @property
+    def policy_log(self) -> Path:
+        """Where the policy's prints are kept; missing if there were none."""
+        return self.path / _LOG_FILE
+
+    def write(self, name: str, data: bytes | str) -> None:
+        """Write a file of the folder atomically."""
+        write_atomic(self.path / name, data)
+
+
+def _sweep(path: Path) -> None:
+    """Remove the temporary files of writers that were killed; the lock says that nobody is writing now."""
+    for name in _FILES:
+        for left in path.glob(f".{name}.*"):
+            left.unlink(missing_ok=True)
+
+
+def _header(path: Path, identity: Mapping[str, Any]) -> dict[str, Any]:
+    if (path / RUN_FILE).exists():
+        return read_header(path)[0]
+    if any((path / "records").glob("*.jsonl")):
+        raise InputError(
+            f"{path} has records but no {RUN_FILE}", hint="choose another folder with --output", path=str(path)
+        )
+    return {
+        "format": RUN_FORMAT,
+        "identity": json.loads(json.dumps(dict(identity))),
+        "policy": {},
+        "episodes": 0,
+        "salt": secrets.token_hex(16),
+        "segments": [],
+    }

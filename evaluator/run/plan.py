@@ -1,0 +1,79 @@
+"""Which steps a policy acts in, which episodes are alive there, and in which order they are simulated."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from typing import TypeVar
+
+from evaluator.engines import Job, Shard
+from evaluator.run.records import Records
+from evaluator.scenarios import reference_pinch, reference_tools
+from rema_data.schema import TASKS, Scenario, Situation, StepOutcome
+
+__all__ = ["Plan", "arrange", "shards"]
+
+SHARD_JOBS = 25
+_ORDER_KEY = b"rema simulation order v1"
+_T = TypeVar("_T")
+
+
+class Plan:
+    """The episodes of a run and the steps in which its policy acts.
+
+    Parameters
+    ----------
+    scenarios : sequence of Scenario
+    task : str
+    protocol : {"conditional", "end-to-end"}
+
+    Attributes
+    ----------
+    steps : tuple of int
+        The last step (conditional), or all.
+    """
+
+    def __init__(self, scenarios: Sequence[Scenario], task: str, protocol: str) -> None:
+        self.scenarios = scenarios
+        self.task = task
+        self.end_to_end = protocol == "end-to-end"
+        count = len(TASKS[task])
+        self.steps = tuple(range(count)) if self.end_to_end else (count - 1,)
+
+    def eligible(self, scenario: Scenario) -> bool:
+        """Whether the protocol can be run on ``scenario``: the conditional one needs its tools in hand."""
+        if self.end_to_end:
+            return True
+        has_pinch = scenario.pinch is not None
+        return len(scenario.grips) == reference_tools(self.task) and has_pinch == reference_pinch(self.task)
+
+    def alive(self, step: int, records: Records) -> dict[int, Situation]:
+        """Situation of every episode that reaches ``step``, by scenario index, in ascending order."""
+        if not self.end_to_end:
+            return {scenario.index: scenario.last_situation() for scenario in self.scenarios if self.eligible(scenario)}
+        situations: dict[int, Situation] = {}
+        for scenario in self.scenarios:
+            situation: Situation | None = scenario.first_situation()
+            for earlier in range(step):
+                result = records.result(scenario.index, earlier)
+                if situation is None or not isinstance(result, StepOutcome) or not result.success:
+                    situation = None
+                    break
+                situation = scenario.next_situation(situation, result)
+            if situation is not None:
+                situations[scenario.index] = situation
+        return situations
+
+
+def arrange(items: Sequence[_T], order: str, keys: Sequence[int]) -> list[_T]:
+    """``items`` forward, reversed, or shuffled by a fixed hash of their ``keys``."""
+    if order == "shuffled":
+        ranks = [hashlib.blake2b(key.to_bytes(8, "big"), digest_size=16, key=_ORDER_KEY).digest() for key in keys]
+        return [item for _, item in sorted(zip(ranks, items, strict=True), key=lambda pair: pair[0])]
+    return list(items) if order == "forward" else list(reversed(items))
+
+
+def shards(jobs: Sequence[Job]) -> Iterator[Shard]:
+    """Jobs in groups of 25: seconds of work, little to lose."""
+    for start in range(0, len(jobs), SHARD_JOBS):
+        yield tuple(jobs[start : start + SHARD_JOBS])

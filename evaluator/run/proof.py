@@ -1,0 +1,92 @@
+"""One episode of a run, with the proof that it is under the run's root: a small JSON file that needs no run folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from evaluator.run.check import read_evidence
+from evaluator.run.header import RUN_FILE
+from evaluator.run.merkle import merkle_proof, root_of_proof
+from evaluator.run.rows import row_leaf, row_leaves
+from evaluator.run.seal import EPISODES_FILE
+from rema_data.errors import InputError, IntegrityError
+
+__all__ = ["check_proof", "make_proof"]
+
+_FORMAT = "rema episode proof 1"
+
+
+def make_proof(folder: Path, episode: int) -> dict[str, Any]:
+    """The row of an episode and its way to the root, ready for JSON.
+
+    Parameters
+    ----------
+    folder : Path
+        Of a sealed run.
+    episode : int
+        Position in the scenario list.
+
+    Raises
+    ------
+    InputError
+        The run has no such episode.
+    MissingFileError, IntegrityError
+        There is no sealed run, or its rows are not what was sealed.
+    """
+    evidence = read_evidence(folder)
+    for finding in evidence.findings:
+        if finding.file in (RUN_FILE, EPISODES_FILE):
+            place = f", {finding.where}" if finding.where else ""
+            raise IntegrityError(
+                f"{folder / finding.file}{place} {finding.detail}", hint=f"see all of it: rema replay {folder}"
+            )
+    table = evidence.table
+    if table is None or not 0 <= episode < table.num_rows:
+        count = evidence.header["episodes"]
+        raise InputError(f"{folder} has no episode {episode}", hint=f"give 0 to {count - 1}", episode=episode)
+    return {
+        "format": _FORMAT,
+        "merkle_root": evidence.seal["merkle_root"],
+        "episodes": table.num_rows,
+        "position": episode,
+        "row": table.slice(episode, 1).to_pylist()[0],
+        "path": [node.hex() for node in merkle_proof(row_leaves(table), episode)],
+    }
+
+
+def check_proof(proof: Any, root: str) -> dict[str, Any]:
+    """The row that a proof is about, after it was found to be under ``root``.
+
+    Parameters
+    ----------
+    proof : object
+        From ``make_proof``, read back from JSON.
+    root : str
+        Root of the run, hexadecimal, from a source that is trusted: not from the proof itself.
+
+    Raises
+    ------
+    InputError
+        It is no proof.
+    IntegrityError
+        The row is not under the root.
+    """
+    try:
+        if proof["format"] != _FORMAT:
+            raise ValueError(f"its format is {proof['format']!r}")
+        row, position, count = dict(proof["row"]), int(proof["position"]), int(proof["episodes"])
+        path = [bytes.fromhex(node) for node in proof["path"]]
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise InputError(
+            f"this is not the proof of an episode: {error}", hint="make one: rema proof RUN --episode N"
+        ) from error
+    found = root_of_proof(row_leaf(row), position, count, path)
+    if found is None or found.hex() != root.lower():
+        raise IntegrityError(
+            f"episode {position} as the proof shows it is not part of the run with the root {root}",
+            hint="ask for another proof, and check where the root comes from",
+            expected=root,
+            got=None if found is None else found.hex(),
+        )
+    return row

@@ -1,0 +1,97 @@
+"""The seal of a run: digests in ``run.json`` of everything that a finished run says, ``run.json`` itself included.
+
+A seal alone tells that nothing changed since it was made, not who made it: whoever can write the folder can seal it
+anew. A signature over ``run.json`` tells who vouches for it, and a replay whether it is true.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from evaluator.run.rows import canonical
+
+__all__ = [
+    "ACTIONS_FILE",
+    "EPISODES_FILE",
+    "LEAVES_FILE",
+    "SUMMARY_FILE",
+    "changed_parts",
+    "make_seal",
+    "seal_is_whole",
+]
+
+EPISODES_FILE = "episodes.parquet"
+ACTIONS_FILE = "actions.bin"
+LEAVES_FILE = "leaves.bin"
+"""Leaf hashes of the rows, 32 bytes each: a changed row is named by them, and one row is proved without the table."""
+SUMMARY_FILE = "summary.json"
+
+_VERSION = 1
+_FIELDS = {
+    "version": int,
+    "merkle_root": str,
+    "steps": list,
+    "unfinished": int,
+    "files": dict,
+    "parts": dict,
+    "sha256": str,
+}
+_FILES = {EPISODES_FILE, ACTIONS_FILE, LEAVES_FILE, SUMMARY_FILE}
+
+
+def make_seal(
+    header: dict[str, Any], files: Mapping[str, bytes], *, root: bytes, steps: Sequence[int], unfinished: int
+) -> dict[str, Any]:
+    """The seal of a run, ready for JSON.
+
+    Parameters
+    ----------
+    header : dict
+        Content of ``run.json``; a seal that it has already is left out.
+    files : mapping of str to bytes
+        Content of the four sealed files, by name.
+    root : bytes
+        Of the tree over the rows of ``episodes.parquet``.
+    steps : sequence of int
+        Steps in which the policy acts: the columns of ``actions.bin``.
+    unfinished : int
+        Episodes without a result: 0 unless the run is partial.
+    """
+    seal = {
+        "version": _VERSION,
+        "merkle_root": root.hex(),
+        "steps": list(steps),
+        "unfinished": unfinished,
+        "files": {name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
+        "parts": _parts(header),
+    }
+    return {**seal, "sha256": _digest(seal)}
+
+
+def changed_parts(header: dict[str, Any]) -> list[str]:
+    """Names of the entries of ``run.json`` that are not those that its seal names; none where it has no seal."""
+    sealed: dict[str, str] = header.get("seal", {}).get("parts", {})
+    here = _parts(header)
+    return sorted(name for name in here | sealed if here.get(name) != sealed.get(name)) if sealed else []
+
+
+def seal_is_whole(seal: dict[str, Any]) -> bool:
+    """Whether a seal has its own digest, and the shape of one."""
+    body = {name: value for name, value in seal.items() if name != "sha256"}
+    return (
+        seal.keys() == _FIELDS.keys()
+        and all(isinstance(seal[name], kind) for name, kind in _FIELDS.items())
+        and seal["version"] == _VERSION
+        and seal["files"].keys() == _FILES
+        and seal["sha256"] == _digest(body)
+    )
+
+
+def _parts(header: dict[str, Any]) -> dict[str, str]:
+    return {name: _digest(value) for name, value in header.items() if name != "seal"}
+
+
+def _digest(value: Any) -> str:
+    return hashlib.sha256(canonical(value)).hexdigest()

@@ -1,0 +1,88 @@
+"""How a run ends, played here or merged from parts: its tables, its summary and its seal."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import pyarrow as pa
+
+from evaluator.run.actions import actions_of, encode_actions
+from evaluator.run.folder import TIMINGS_FILE, RunFolder
+from evaluator.run.merkle import merkle_root
+from evaluator.run.plan import Plan
+from evaluator.run.records import Ledger
+from evaluator.run.rows import row_leaves
+from evaluator.run.seal import ACTIONS_FILE, EPISODES_FILE, LEAVES_FILE, SUMMARY_FILE
+from evaluator.run.summary import summarise
+from evaluator.run.tables import episodes_table, timings_table, to_parquet
+from evaluator.scenarios import ScenarioList
+
+__all__ = ["RunTables", "seal_run", "write_tables"]
+
+
+@dataclass(frozen=True, slots=True)
+class RunTables:
+    """The tables of a run, which are in its folder.
+
+    Attributes
+    ----------
+    episodes : pyarrow.Table
+        Rows of ``episodes.parquet``.
+    root : bytes
+        Of the hash tree over the rows.
+    files : dict
+        Content by name of those that the seal is over.
+    """
+
+    episodes: pa.Table
+    root: bytes
+    files: dict[str, bytes]
+
+
+def write_tables(folder: RunFolder, plan: Plan, scenarios: ScenarioList, ledger: Ledger) -> RunTables:
+    """Write everything that follows from the records: rows, actions, leaves of the hash tree, timings."""
+    table = episodes_table(scenarios, len(plan.scenarios), plan.steps, ledger)
+    leaves = row_leaves(table)
+    files = {
+        EPISODES_FILE: to_parquet(table),
+        ACTIONS_FILE: encode_actions(actions_of(table, plan.steps)),
+        LEAVES_FILE: b"".join(leaves),
+    }
+    for name, content in files.items():
+        folder.write(name, content)
+    folder.write(TIMINGS_FILE, to_parquet(timings_table(ledger, len(plan.scenarios))))
+    return RunTables(table, merkle_root(leaves), files)
+
+
+def seal_run(
+    folder: RunFolder,
+    plan: Plan,
+    ledger: Ledger,
+    tables: RunTables,
+    audit: dict[str, Any] | None,
+    stopped_early: dict[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Write the summary, which is returned, and put the seal over it and the tables.
+
+    Parameters
+    ----------
+    folder : RunFolder
+    plan : Plan
+    ledger : Ledger
+    tables : RunTables
+        From ``write_tables``.
+    audit : dict or None
+        From ``audit_summary``.
+    stopped_early : dict, optional
+        Why a run that has no rank stopped.
+    """
+    summary = summarise(plan, ledger, tables.episodes, folder.header, tables.root, audit)
+    if stopped_early is not None:
+        summary["stopped_early"] = stopped_early
+    payload = (json.dumps(summary, indent=2) + "\n").encode()
+    folder.write(SUMMARY_FILE, payload)
+    files = {**tables.files, SUMMARY_FILE: payload}
+    folder.seal(files, root=tables.root, steps=plan.steps, unfinished=summary["unfinished"])
+    return summary

@@ -1,0 +1,34 @@
+"""Frozen scenario lists: reading them, drawing them, tools that a policy picked, and strata.
+
+Read in this order: ``lists`` (reading and writing), ``generation`` and ``policy_picks`` (drawing), ``strata``.
+"""
+
+from __future__ import annotations
+
+from evaluator.scenarios.lists import (
+    SPLITS,
+    VERSION,
+    ScenarioList,
+    encode_list,
+    load_list,
+    manifest_path,
+    reference_pinch,
+    reference_tools,
+    scenario_id,
+    update_manifest,
+    write_list,
+)
+
+__all__ = [
+    "SPLITS",
+    "VERSION",
+    "ScenarioList",
+    "encode_list",
+    "load_list",
+    "manifest_path",
+    "reference_pinch",
+    "reference_tools",
+    "scenario_id",
+    "update_manifest",
+    "write_list",
+]

@@ -1,0 +1,256 @@
+"""Drawing the frozen scenario lists: objects from a keyed generator, tools in hand from reference picks or a policy.
+
+A list is made once and then only read: evaluations depend on its bytes, not on numpy's random streams. An object that
+the picker fails to turn into a tool is drawn again; the manifest says how often that happened.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import multiprocessing
+import os
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from evaluator.engines import make_engine
+from evaluator.engines.worker import die_with
+from evaluator.policy import PolicySpec, digest
+from evaluator.rollout.backend import Backend, default_backend
+from evaluator.scenarios import (
+    SPLITS,
+    encode_list,
+    load_list,
+    manifest_path,
+    reference_tools,
+    update_manifest,
+    write_list,
+)
+from evaluator.scenarios.policy_picks import draw_picked
+from evaluator.sim.parameters import WORLD, parameters_hash
+from evaluator.sim.reference import prepare
+from evaluator.sim.simulator import Simulator
+from evaluator.sim.spawn import episode_generator
+from rema_data.errors import InputError, IntegrityError
+from rema_data.manifests import RESTORE, read_manifest
+from rema_data.progress import Progress, Silent
+from rema_data.schema import TASKS, Scenario, check_task
+
+__all__ = ["COUNTS", "ROOT_SEED", "Picker", "draw_scenario", "generate_list", "picked_list", "write_lists"]
+
+ROOT_SEED = 2112_00359
+"""Root of every frozen list; ``test`` and ``val`` are separate domains of it, and collection has a third."""
+COUNTS = {"test": 10_000, "val": 2_000}
+_CHUNK = 50
+_PICKED_CHUNK = 500
+"""Scenarios whose picks are asked about together; with the batches of the questions it belongs to a list's identity."""
+
+
+@dataclass(frozen=True, slots=True)
+class Picker:
+    """A policy that picks the tools of a list.
+
+    Attributes
+    ----------
+    spec : PolicySpec
+    checkpoint : Path or None
+    log : Path
+        Where what it prints is kept.
+    device : str
+    """
+
+    spec: PolicySpec
+    checkpoint: Path | None
+    log: Path
+    device: str = "cpu"
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """A scenario and the number of objects that were drawn again for it."""
+
+    scenario: Scenario
+    redrawn: int
+
+
+def draw_scenario(simulator: Simulator, task: str, split: str, index: int) -> Drawn:
+    """One scenario: a function of (task, split, index) and of the simulator.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    task, split : str
+    index : int
+    """
+    ready = prepare(simulator, task, episode_generator(ROOT_SEED, split, task, index))
+    return Drawn(Scenario(task, split, index, ready.placements, ready.grips, ready.pinch), ready.redrawn)
+
+
+_simulator: Simulator | None = None
+
+
+def _draw_chunk(job: tuple[str, str, range]) -> list[Drawn]:
+    global _simulator
+    if _simulator is None:
+        _simulator = Simulator(WORLD)
+    task, split, indices = job
+    return [draw_scenario(_simulator, task, split, index) for index in indices]
+
+
+def generate_list(task: str, split: str, count: int, workers: int = 2) -> Iterator[Drawn]:
+    """Scenarios 0 to ``count`` - 1 of a list, in order, whatever the number of workers."""
+    check_task(task)
+    jobs = [(task, split, range(start, min(start + _CHUNK, count))) for start in range(0, count, _CHUNK)]
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=spawn, initializer=die_with, initargs=(os.getpid(),)) as pool:
+        for chunk in pool.map(_draw_chunk, jobs):
+            yield from chunk
+
+
+def picked_list(
+    task: str, split: str, count: int, picker: Picker, workers: int = 2, backend: Backend | None = None
+) -> Iterator[Drawn]:
+    """The same with the tools as a policy picked them.
+
+    Raises
+    ------
+    SubmissionError, PolicyFailureError
+        The policy cannot be loaded, or cannot pick.
+    InfrastructureError
+        A worker died twice on the same pick.
+    """
+    check_task(task)
+    world = backend or default_backend()
+    engine = make_engine("process", workers, world.simulator)
+    spawn = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(workers, mp_context=spawn, initializer=die_with, initargs=(os.getpid(),))
+    with (
+        pool,
+        closing(engine),
+        world.open_policy(picker.spec, picker.checkpoint, picker.device, picker.log, None) as policy,
+    ):
+        for start in range(0, count, _PICKED_CHUNK):
+            indices = range(start, min(start + _PICKED_CHUNK, count))
+            generators = {index: episode_generator(ROOT_SEED, split, task, index) for index in indices}
+            for one in draw_picked(task, generators, policy, engine, pool, world):
+                yield Drawn(one.scenario(task, split), one.redrawn)
+
+
+def write_lists(
+    version: str,
+    tasks: tuple[str, ...] = tuple(TASKS),
+    counts: dict[str, int] | None = None,
+    workers: int = 2,
+    progress: Progress | None = None,
+    picker: Picker | None = None,
+    keep: tuple[str, ...] = (),
+) -> Path:
+    """Write a new version of the scenario lists and its manifest; a list that the manifest names is never changed.
+
+    With a picker, tasks without tools keep the lists of the present version: they are named, not written again. A file
+    that no manifest names was left by a kill: its list is drawn again.
+
+    Parameters
+    ----------
+    version : str
+        Name of the folder under ``manifests/scenarios``.
+    tasks : tuple of str
+    counts : dict, optional
+        Scenarios of each split; ``COUNTS`` by default.
+    workers : int
+    progress : Progress, optional
+        Every list is a phase of it.
+    picker : Picker, optional
+        Picks the tools; the privileged reference picks by default.
+    keep : tuple of str
+        Tasks besides, whose lists of the present version are named again.
+
+    Returns
+    -------
+    Path
+        The manifest.
+
+    Raises
+    ------
+    InputError
+        Unknown task, or a count below 1.
+    IntegrityError
+        The manifest cannot be read; or it names a list whose file is gone, and drawing it again gives another.
+    StorageError
+        The disk is full or may not be written.
+    """
+    manifest, sink = manifest_path(version), progress or Silent()
+    origin = {}
+    if picker is not None:
+        origin = {"picker": picker.spec.name, "picker_digest": digest(picker.spec, picker.checkpoint)}
+    for split in SPLITS:
+        count = (counts or COUNTS)[split]
+        if count < 1:
+            raise InputError(f"a {split} list of {count} scenarios", hint="give each split at least one", count=count)
+        for task in (*keep, *tasks):
+            entry = _entries(manifest).get(f"{check_task(task)}/{split}")
+            if entry is not None and (manifest.parent / entry["file"]).exists():
+                continue
+            if task in keep or (picker is not None and not reference_tools(task)):
+                _name_again(manifest, version, task, split)
+                continue
+            sink.phase(f"{task}/{split}", count)
+            drawn: list[Drawn] = []
+            for item in _source(task, split, count, workers, picker):
+                drawn.append(item)
+                sink.advance(1)
+            _write(manifest, version, drawn, entry, origin)
+    return manifest
+
+
+def _source(task: str, split: str, count: int, workers: int, picker: Picker | None) -> Iterator[Drawn]:
+    if picker is None:
+        return generate_list(task, split, count, workers)
+    return picked_list(task, split, count, picker, workers)
+
+
+def _entries(manifest: Path) -> dict[str, dict[str, Any]]:
+    """What a manifest names; nothing where it is not there."""
+    if not manifest.is_file():
+        return {}
+    return read_manifest(manifest, "scenario manifest", lambda content: dict(content["lists"]))
+
+
+def _write(
+    manifest: Path, version: str, drawn: list[Drawn], named: dict[str, Any] | None, origin: dict[str, str]
+) -> None:
+    """Write a list and name it in the manifest; ``named`` is what the manifest says of it already."""
+    scenarios = [item.scenario for item in drawn]
+    task, split = scenarios[0].task, scenarios[0].split
+    file = manifest.parent / f"{task}_{split}.parquet"
+    if named is not None and hashlib.sha256(encode_list(scenarios)).hexdigest() != named["sha256"]:
+        raise IntegrityError(
+            f"{manifest} names {named['file']}, which is gone, and {task}/{split} drawn again is another list",
+            hint=f"{RESTORE}; or choose another VERSION",
+            path=str(file),
+        )
+    update_manifest(
+        manifest,
+        version,
+        f"{task}/{split}",
+        file=file.name,
+        sha256=write_list(file, scenarios),
+        count=len(scenarios),
+        seed_domain=f"{ROOT_SEED}/{split}",
+        redrawn=sum(item.redrawn for item in drawn),
+        parameters=parameters_hash(),
+        **origin,
+    )
+
+
+def _name_again(manifest: Path, version: str, task: str, split: str) -> None:
+    """Enter the present list of a task without tools in the manifest of another version, with what is said of it."""
+    name, present = f"{task}/{split}", manifest_path(load_list(task, split).version)
+    entry = _entries(present)[name]
+    file = (present.parent / entry["file"]).resolve()  # which may lie in the folder of an older version itself
+    update_manifest(
+        manifest, version, name, **entry | {"file": Path(os.path.relpath(file, manifest.parent.resolve())).as_posix()}
+    )

@@ -1,0 +1,211 @@
+"""The board: who has a rank, who ties with whom, and what is said about the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evaluator.leaderboard import Board, Row, leaderboard, published_rows
+from evaluator.leaderboard.ranking import LEVEL
+from evaluator.leaderboard.submission import make_entry
+from evaluator.run.entry import encode
+from evaluator.statistics import holm, midp_mcnemar, pair_table
+from rema_data.errors import IntegrityError, MissingFileError
+from tests.evaluator.runs import AUDIT, EPISODES, Bools, solved, write_manifests, write_run
+
+Write = Callable[..., Path]
+
+
+@pytest.fixture
+def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Write:
+    """``write(name, success, ...)`` writes a run of the policy ``name``, beside manifests with short lists."""
+    write_manifests(tmp_path / "manifests")
+    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
+
+    def run(name: str, success: Any, **changes: Any) -> Path:
+        return write_run(tmp_path / "runs" / name, success, **{"policy": name, **changes})
+
+    return run
+
+
+def rows(board: Board) -> dict[str, Row]:
+    """Rows of the board by policy, but for the paper's."""
+    return {row.policy: row for row in board.rows if row.tag != "published"}
+
+
+def remark(board: Board, word: str) -> str:
+    return next((text for text in board.remarks if word in text), "")
+
+
+def test_the_published_rows_are_the_papers() -> None:
+    rates = {(row.policy, row.task): row.rate for row in published_rows()}
+    assert len(rates) == 16
+    assert rates["scripted", "push"] == pytest.approx(0.9987)
+    assert rates["random", "grasp_grasp"] == pytest.approx(0.0177)
+    assert rates["joint", "grasp_push"] == pytest.approx(0.4549)
+    intervals = {(row.policy, row.task): row.ci95 for row in published_rows()}
+    assert intervals["joint", "grasp"] == pytest.approx((0.9303, 0.9400), abs=1e-4)  # as the paper's counts would give
+
+
+def test_letters_are_those_of_the_adjusted_paired_tests(write: Write) -> None:
+    outcomes: dict[str, Bools] = {"good": solved(0.9, 1), "same": solved(0.88, 2), "fair": solved(0.6, 3)}
+    outcomes["poor"] = solved(0.2, 4)
+    board = leaderboard([write(name, success) for name, success in outcomes.items()], published=False)
+    pairs = list(combinations(outcomes, 2))
+    adjusted = holm([midp_mcnemar(pair_table(outcomes[a], outcomes[b])) for a, b in pairs])
+    found = rows(board)
+    for (a, b), p in zip(pairs, adjusted, strict=True):
+        assert bool(set(found[a].ties) & set(found[b].ties)) == (p > LEVEL)
+    assert [row.policy for row in board.rows] == sorted(outcomes, key=lambda name: -outcomes[name].sum())
+    assert [found[name].rank for name in ("good", "same", "fair", "poor")] == [1, 1, 3, 4]
+    assert "the 6 pairs of the board" in remark(board, "ties")
+
+
+def test_the_family_spans_all_tasks(write: Write) -> None:
+    """A difference that is beyond chance alone is not beyond chance among many."""
+    a = solved(0.5, 1)
+    b = a.copy()
+    b[np.flatnonzero(~b)[:6]] = True  # six discordant pairs on one side: p = 1 / 64
+    alone = leaderboard([write("a", a), write("b", b)], published=False)
+    assert set(rows(alone)["a"].ties) != set(rows(alone)["b"].ties)
+    others = [write(f"other{n}", solved(0.5, 10 + n), task="grasp_push") for n in range(4)]
+    sources = [Path(row.source) for row in alone.rows]
+    together = leaderboard([*sources, *others], published=False)
+    assert rows(together)["a"].ties == rows(together)["b"].ties == "a"
+
+
+def test_privileged_rows_have_letters_but_neither_take_nor_give_a_rank(write: Write) -> None:
+    board = leaderboard(
+        [
+            write("scripted", solved(0.95, 1)),
+            write("mine", solved(0.5, 2)),
+            write("cheat", solved(0.9, 3), privileged=True),
+        ]
+    )
+    found = rows(board)
+    assert [found[name].tag for name in ("scripted", "cheat", "mine")] == ["privileged", "privileged", "submitted"]
+    assert (found["mine"].rank, found["scripted"].rank, found["cheat"].rank) == (1, None, None)
+    assert found["mine"].ties != found["scripted"].ties and "ground truth" in remark(board, "privileged")
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"split": "val"}, "val split"),
+        ({"stopped_early": True}, "stopped early"),
+        ({"identity": {"scenarios_hash": "0" * 64}}, "another scenario list"),
+        ({"identity": {"protocol_hash": "0" * 64}}, "another protocol version"),
+        ({"unfinished": 5}, "5 episodes not finished"),
+        ({"nondeterministic": 1}, "steps with two outcomes"),
+        ({"audit": {**AUDIT, "outcome_flips": 2}}, "2 of 30 repeated outcomes flipped"),
+        ({"audit": {**AUDIT, "action_flips": 9}}, "9 of 30 repeated questions answered otherwise"),
+        ({"audit": None}, "never repeated"),
+    ],
+)
+def test_runs_without_a_rank_are_shown_and_say_why(write: Write, changes: dict[str, Any], reason: str) -> None:
+    board = leaderboard([write("mine", solved(0.5, 1)), write("odd", solved(0.99, 2), **changes)], published=False)
+    odd = rows(board)["odd"]
+    assert (odd.rank, odd.ties, odd.unranked) == (None, "", reason)
+    assert rows(board)["mine"].rank == 1 and board.rows[-1] is odd
+    assert reason in remark(board, "odd")
+
+
+def test_short_runs_have_no_rank(write: Write) -> None:
+    board = leaderboard([write("short", solved(0.5, 1, 40)), write("mine", solved(0.5, 1))])
+    assert rows(board)["short"].unranked == f"40 of {EPISODES} scenarios"
+
+
+def test_a_summary_alone_has_no_rank(write: Write) -> None:
+    folder = write("mine", solved(0.5, 1))
+    (folder / "episodes.parquet").unlink()
+    assert rows(leaderboard([folder]))["mine"].unranked == "no outcomes by scenario"
+
+
+def test_a_rank_that_hangs_on_lost_episodes_is_none(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Six discordant pairs decide; three lost episodes could undo them, and do no harm where the gap is wide."""
+    monkeypatch.setattr("evaluator.leaderboard.eligibility.infra_limit", lambda: 0.05)
+    a = solved(0.5, 1)
+    close = a.copy()
+    close[np.flatnonzero(~close)[:6]] = True
+    lost = np.zeros(EPISODES, bool)
+    lost[np.flatnonzero(a & close)[:3]] = True
+    board = leaderboard([write("a", a), write("close", close, lost=lost)], published=False)
+    assert "lost to the infrastructure" in rows(board)["close"].unranked and rows(board)["a"].rank == 1
+    assert rows(board)["close"].bounds == pytest.approx(((close.sum() - 3) / EPISODES, close.sum() / EPISODES))
+    wide = leaderboard([Path(rows(board)["a"].source), write("wide", solved(0.9, 5), lost=lost)], published=False)
+    assert rows(wide)["wide"].rank == 1 and rows(wide)["wide"].ties == "a"
+
+
+def test_another_simulator_is_said_loudly(write: Write) -> None:
+    sources = [
+        write("a", solved(0.5, 1)),
+        write("b", solved(0.6, 2), identity={"fingerprint": {"pybullet": "3.2.8"}}),
+    ]
+    board = leaderboard(sources)
+    assert remark(board, "ANOTHER SIMULATOR") and all(row.rank for row in rows(board).values())
+    assert not remark(leaderboard(sources[:1]), "ANOTHER SIMULATOR")
+
+
+def test_the_end_to_end_rate_stands_beside_the_conditional_one(write: Write) -> None:
+    first, last = solved(0.8, 1), solved(0.5, 2)
+    sources = [
+        write("mine", last, task="grasp_push"),
+        write("mine-whole", [first, last], task="grasp_push", protocol="end-to-end", policy="mine"),
+    ]
+    board = leaderboard(sources, published=False)
+    by_protocol = {row.protocol: row for row in board.rows}
+    assert by_protocol["conditional"].end_to_end == pytest.approx((first & last).mean())
+    assert by_protocol["end-to-end"].end_to_end is None
+    steps = [(step.attempted, step.succeeded) for step in by_protocol["end-to-end"].funnel]
+    assert steps == [(EPISODES, first.sum()), (first.sum(), (first & last).sum())]
+
+
+def test_only_the_papers_own_policies_have_a_distance_to_it(write: Write) -> None:
+    board = leaderboard([write(name, solved(0.5, 1)) for name in ("random", "tae-joint", "joint", "mine")])
+    assert {name for name, row in rows(board).items() if row.z is not None} == {"random", "tae-joint"}
+    assert "scenes and its simulator are not" in remark(board, "published")
+    whole = leaderboard([write("scripted", solved(0.5, 1), task="grasp", protocol="end-to-end")])
+    assert rows(whole)["scripted"].z is None
+
+
+def test_a_run_and_its_entry_are_one_row(write: Write, tmp_path: Path) -> None:
+    folder = write("mine", solved(0.5, 1))
+    path = tmp_path / "entry.json"
+    path.write_bytes(encode(make_entry(folder, "renamed", "https://example.org")))
+    board = leaderboard([folder, path], published=False)
+    assert [(row.policy, row.link) for row in board.rows] == [("renamed", "https://example.org")]
+    twin = write("twin", solved(0.5, 1), digest="f" * 64)
+    assert len(leaderboard([folder, path, twin], published=False).rows) == 2
+
+
+def test_no_episode_no_rate(write: Write) -> None:
+    nothing = np.ones(20, bool)
+    row = rows(leaderboard([write("mine", nothing, lost=nothing)]))["mine"]
+    assert row.rate is None and row.ci95 is None and row.bounds == (0.0, 1.0) and row.unranked
+
+
+def test_an_empty_board_has_the_papers_rows() -> None:
+    assert {row.tag for row in leaderboard([]).rows} == {"published"}
+    assert leaderboard([], published=False) == Board((), ())
+
+
+def test_a_source_that_cannot_be_read_is_left_out_and_named(write: Write) -> None:
+    good, damaged, unfinished = (write(name, solved(0.5, 1)) for name in ("good", "damaged", "unfinished"))
+    (damaged / "episodes.parquet").write_bytes(b"nothing")
+    (unfinished / "summary.json").unlink()
+    board = leaderboard([damaged, good, unfinished], published=False)
+    assert [row.policy for row in board.rows] == ["good"]
+    assert [type(error) for error in board.refused] == [IntegrityError, MissingFileError]
+    assert len([text for text in board.remarks if text.startswith("LEFT OUT")]) == 2
+    with pytest.raises(IntegrityError, match="damaged"):
+        leaderboard([damaged, unfinished])
+
+
+def test_the_walls_around_a_policy_are_shown(write: Write) -> None:
+    board = leaderboard([write("mine", solved(0.5, 1), isolation="L2")], published=False)
+    assert rows(board)["mine"].isolation == "L2"

@@ -1,0 +1,242 @@
+"""Merged parts are the run that was never divided, and whatever is no such part is refused by name."""
+
+from __future__ import annotations
+
+import errno
+import json
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+from filelock import FileLock
+
+from evaluator.cli.main import cli
+from evaluator.run.check import read_evidence
+from evaluator.runner import run_evaluation
+from evaluator.runner.merge import merge_runs
+from evaluator.runner.shards import Part
+from rema_data.errors import InputError, IntegrityError, MissingFileError, RunMismatchError
+from tests.evaluator.fakes import FakePolicyProcess, fake_backend, fake_config, write_fake_list
+
+LONG = "grasp_grasp_push"
+EPISODES, COUNT, BATCH = 200, 3, 16
+SAME = ("episodes.parquet", "actions.bin", "leaves.bin")
+
+
+def cut(whole: Path, part: Path, indices: Iterable[int], shard: str) -> Path:
+    """The folder that a run would have left that played these scenarios alone."""
+    chosen = set(indices)
+    part.mkdir(parents=True)
+    header = json.loads((whole / "run.json").read_text())
+    for segment in header["segments"]:
+        segment["shard"] = shard
+    (part / "run.json").write_text(json.dumps(header))
+    for journal in (whole / "records").rglob("*.jsonl"):
+        lines = journal.read_bytes().splitlines(keepends=True)
+        target = part / journal.relative_to(whole)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(b"".join(line for line in lines if json.loads(line)[1]["index"] in chosen))
+    return part
+
+
+def table(folder: Path) -> list[bytes]:
+    return [(folder / name).read_bytes() for name in SAME]
+
+
+@pytest.fixture(scope="module")
+def divided(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a whole run and of its three parts, only to be read."""
+    folder = tmp_path_factory.mktemp("divided")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("REMA_MANIFESTS", str(folder / "manifests"))
+        patch.setenv("REMA_HOME", str(folder / "home"))
+        write_fake_list(folder / "manifests", LONG, 300)
+        config = fake_config(folder / "whole", task=LONG, protocol="end-to-end", batch_size=BATCH, engine="inline")
+        run_evaluation(config, backend=fake_backend())
+    for number in range(1, COUNT + 1):
+        part = Part(number, COUNT)
+        cut(folder / "whole", folder / f"part{number}", part.indices(EPISODES, BATCH), str(part))
+    return folder
+
+
+@pytest.fixture
+def whole(divided: Path) -> Path:
+    return divided / "whole"
+
+
+@pytest.fixture
+def parts(divided: Path, fake_home: Path) -> list[Path]:
+    """Three parts of it, to be changed."""
+    return [shutil.copytree(divided / f"part{number}", fake_home / f"part{number}") for number in range(1, COUNT + 1)]
+
+
+def test_merged_parts_have_the_bytes_of_the_whole_run(whole: Path, parts: list[Path], fake_home: Path) -> None:
+    result = merge_runs(parts[::-1], fake_home / "merged")
+    assert table(fake_home / "merged") == table(whole)
+    before = json.loads((whole / "summary.json").read_text())
+    differ = {name for name in before if before[name] != result.summary[name]}
+    assert differ <= {"seconds", "episodes_per_second", "segments"}
+    assert result.summary["audit"]["actions"] > 0
+
+
+def test_a_merged_run_is_sealed_and_goes_on_like_any_other(parts: list[Path], fake_home: Path) -> None:
+    merge_runs(parts, fake_home / "merged")
+    assert read_evidence(fake_home / "merged").findings == ()
+    before = table(fake_home / "merged")
+    process = FakePolicyProcess()
+    config = fake_config(fake_home / "merged", task=LONG, protocol="end-to-end", batch_size=BATCH)
+    run_evaluation(config, backend=fake_backend(process))
+    assert process.asked == 0
+    assert table(fake_home / "merged") == before
+
+
+def test_parts_are_left_as_they_are(parts: list[Path], fake_home: Path) -> None:
+    def content() -> dict[Path, bytes]:
+        return {
+            path: path.read_bytes()
+            for part in parts
+            for path in part.rglob("*")
+            if path.name != ".lock" and path.is_file()
+        }
+
+    before = content()
+    merge_runs(parts, fake_home / "merged")
+    assert content() == before
+
+
+def test_a_missing_part_is_named(parts: list[Path], fake_home: Path) -> None:
+    with pytest.raises(InputError, match=r"no folder is of shard 2/3"):
+        merge_runs([parts[0], parts[2]], fake_home / "merged")
+    assert not list(fake_home.glob("*merg*"))
+
+
+def test_a_part_that_is_not_finished(parts: list[Path], fake_home: Path) -> None:
+    journal = next((parts[1] / "records").glob("outcomes-*.jsonl"))
+    lines = journal.read_bytes().splitlines(keepends=True)
+    journal.write_bytes(b"".join(lines[:-3]))
+    with pytest.raises(InputError, match="3 of 200 episodes are in no part, or not finished"):
+        merge_runs(parts, fake_home / "merged")
+
+
+def test_parts_that_overlap(parts: list[Path], fake_home: Path) -> None:
+    shutil.copytree(parts[1], fake_home / "copy")
+    with pytest.raises(InputError, match=f"scenario 64 is both in {parts[1]} and in {fake_home / 'copy'}"):
+        merge_runs([*parts, fake_home / "copy"], fake_home / "merged")
+    with pytest.raises(InputError, match="given twice"):
+        merge_runs([*parts, parts[1]], fake_home / "merged")
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("policy_digest", "other"), ("fingerprint", {"pybullet": "1"}), ("scenarios_hash", "x"), ("protocol_hash", "y")],
+)
+def test_parts_of_other_runs(parts: list[Path], fake_home: Path, field: str, value: Any) -> None:
+    path = parts[2] / "run.json"
+    header = json.loads(path.read_text())
+    header["identity"][field] = value
+    path.write_text(json.dumps(header))
+    with pytest.raises(RunMismatchError, match=f"the {field} of the first is"):
+        merge_runs(parts, fake_home / "merged")
+
+
+def test_parts_of_another_number_of_episodes(parts: list[Path], fake_home: Path) -> None:
+    path = parts[2] / "run.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "episodes": 300}))
+    with pytest.raises(RunMismatchError, match="the episodes of the first is 200"):
+        merge_runs(parts, fake_home / "merged")
+
+
+def test_a_list_that_has_changed_since(parts: list[Path], fake_home: Path) -> None:
+    for part in parts:
+        path = part / "run.json"
+        header = json.loads(path.read_text())
+        header["identity"]["scenarios_hash"] = "x"
+        path.write_text(json.dumps(header))
+    with pytest.raises(RunMismatchError, match="scenario list x"):
+        merge_runs(parts, fake_home / "merged")
+
+
+def test_damaged_records(parts: list[Path], fake_home: Path) -> None:
+    journal = next((parts[1] / "records").glob("outcomes-*.jsonl"))
+    lines = journal.read_bytes().splitlines(keepends=True)
+    lines[4] = lines[4].replace(b"true", b"True").replace(b"false", b"False")
+    journal.write_bytes(b"".join(lines))
+    with pytest.raises(IntegrityError, match="line 5 is damaged"):
+        merge_runs(parts, fake_home / "merged")
+
+
+def test_a_part_that_is_being_written(parts: list[Path], fake_home: Path) -> None:
+    with FileLock(parts[0] / ".lock"), pytest.raises(InputError, match=f"another process is writing in {parts[0]}"):
+        merge_runs(parts, fake_home / "merged")
+
+
+def test_an_output_that_is_there(parts: list[Path], whole: Path, fake_home: Path) -> None:
+    before = table(whole)
+    with pytest.raises(InputError, match="there already"):
+        merge_runs(parts, whole)
+    assert table(whole) == before
+    (fake_home / "empty").mkdir()
+    merge_runs(parts, fake_home / "empty")
+
+
+def test_no_run_and_nothing(fake_home: Path) -> None:
+    with pytest.raises(MissingFileError, match="holds no run"):
+        merge_runs([fake_home / "nothing"], fake_home / "merged")
+    with pytest.raises(InputError, match="nothing to merge"):
+        merge_runs([], fake_home / "merged")
+
+
+def test_the_verb(whole: Path, parts: list[Path], fake_home: Path) -> None:
+    words = ["merge", *map(str, parts), "--output", str(fake_home / "merged")]
+    said = CliRunner().invoke(cli, [*words, "--json"], prog_name="rema")
+    assert said.exit_code == 0, said.stderr
+    assert json.loads(said.stdout) == json.loads((fake_home / "merged" / "summary.json").read_text())
+    again = CliRunner().invoke(cli, words, prog_name="rema")
+    assert again.exit_code == 2 and "--output" in again.stderr
+    shown = CliRunner().invoke(cli, [*words[:-1], str(fake_home / "other")], prog_name="rema")
+    assert shown.exit_code == 0 and "run folder" in shown.stdout
+
+
+@pytest.mark.parametrize("task", ["grasp", LONG])
+def test_divided_runs(task: str, fake_home: Path) -> None:
+    changes = {"task": task, "protocol": "end-to-end", "batch_size": BATCH, "engine": "inline", "audit_share": 0.0}
+    run_evaluation(fake_config(fake_home / "whole", **changes), backend=fake_backend())
+    folders = []
+    for number in range(1, COUNT + 1):
+        shard = Part(number, COUNT)
+        process = FakePolicyProcess()
+        config = fake_config(fake_home / f"part{number}", shard=shard, **changes)
+        summary = run_evaluation(config, backend=fake_backend(process)).summary
+        size = len(shard.indices(EPISODES, BATCH))
+        assert summary["eligible"] == size and summary["unfinished"] == EPISODES - size
+        folders.append(fake_home / f"part{number}")
+    with pytest.raises(InputError, match=r"no folder is of shard 1/3"):
+        merge_runs(folders[1:], fake_home / "merged")
+    merge_runs(folders, fake_home / "merged")
+    assert table(fake_home / "merged") == table(fake_home / "whole")
+
+
+def test_a_part_that_was_stopped_before_its_end(parts: list[Path], fake_home: Path) -> None:
+    """All its scenarios have results, but what is repeated was not."""
+    header = json.loads((parts[1] / "run.json").read_text())
+    del header["seal"]
+    (parts[1] / "run.json").write_text(json.dumps(header))
+    with pytest.raises(InputError, match="part2 has no seal") as caught:
+        merge_runs(parts, fake_home / "merged")
+    assert "--shard 2/3 --batch-size 16" in caught.value.hint and not (fake_home / "merged").exists()
+
+
+def test_parts_on_a_disk_that_may_not_be_written(
+    parts: list[Path], fake_home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(lock: FileLock) -> None:
+        if Path(lock.lock_file).parent in parts:
+            raise OSError(errno.EROFS, "Read-only file system", lock.lock_file)
+        acquire(lock)
+
+    acquire = FileLock._acquire
+    monkeypatch.setattr(FileLock, "_acquire", refuse)
+    assert merge_runs(parts, fake_home / "merged").summary["unfinished"] == 0

@@ -1,0 +1,104 @@
+"""The observation bank gives back exactly what was observed, and never trusts a damaged file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evaluator.runner.observation_cache import ObservationBank
+from evaluator.runner.observe import batches, shuffled
+from rema_data.schema import Observation, Situation
+from tests.evaluator.fakes import fake_observe, fake_scenario
+
+SITUATIONS = tuple(fake_scenario("grasp_push", index).last_situation() for index in range(20))
+
+
+class Counting:
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def __call__(self, situation: Situation) -> Observation:
+        self.calls += 1
+        return fake_observe(situation)
+
+
+@pytest.fixture
+def seen() -> Counting:
+    return Counting()
+
+
+def same(bank: ObservationBank) -> bool:
+    block = bank.load(SITUATIONS)
+    for position, situation in enumerate(SITUATIONS):
+        got, want = block.observation(position), fake_observe(situation)
+        for name in ("scene", "depth", "mask"):
+            a, b = getattr(got, name), getattr(want, name)
+            if a.dtype != b.dtype or not np.array_equal(a, b):
+                return False
+    return True
+
+
+def test_observed_once_and_read_exactly(tmp_path: Path, seen: Counting) -> None:
+    bank = ObservationBank(tmp_path, seen, "code")
+    assert bank.ensure(SITUATIONS)
+    assert not bank.ensure(SITUATIONS)
+    assert same(bank)
+    assert seen.calls == len(SITUATIONS)
+    assert len(bank.load(SITUATIONS).depths) == 1
+    ObservationBank(tmp_path, seen, "other code").ensure(SITUATIONS)
+    assert seen.calls == 2 * len(SITUATIONS)
+
+
+@pytest.mark.parametrize("damage", ["flip", "cut", "empty", "gone", "sizes"])
+def test_damaged_files_are_rebuilt(tmp_path: Path, seen: Counting, damage: str) -> None:
+    bank = ObservationBank(tmp_path, seen, "code")
+    bank.ensure(SITUATIONS)
+    (path,) = tmp_path.rglob("*.obs")
+    data = bytearray(path.read_bytes())
+    data[-9] ^= 4
+    if damage == "gone":
+        path.unlink()
+    else:
+        data[-9] ^= 4 * (damage == "sizes")  # whole again: only the head of the file is wrong
+        sizes = bytes(data).replace(b'"observations": 20', b'"observations": 10')
+        path.write_bytes({"flip": bytes(data), "cut": bytes(data[:-50]), "empty": b"", "sizes": sizes}[damage])
+    assert same(bank)
+    assert seen.calls == 2 * len(SITUATIONS)
+    assert not bank.ensure(SITUATIONS)
+
+
+def test_arrays_are_what_a_policy_sees(tmp_path: Path) -> None:
+    block = ObservationBank(tmp_path, fake_observe, "code").load(SITUATIONS)
+    scenes, effectors = block.arrays(range(5, 12))
+    assert scenes.dtype == effectors.dtype == np.float32
+    for n, situation in enumerate(SITUATIONS[5:12]):
+        want = fake_observe(situation)
+        assert np.array_equal(scenes[n], want.scene_m())
+        assert np.array_equal(effectors[n], want.end_effector())
+
+
+@pytest.mark.parametrize(("size", "alive"), [(64, 1300), (7, 30), (600, 1000)])
+def test_batches_are_fixed_by_position(size: int, alive: int) -> None:
+    situations = {3 * n: SITUATIONS[n % 20] for n in range(alive)}
+    found = batches(situations, size)
+    assert [index for batch in found for index in batch.indices] == list(situations)
+    assert {len(batch.indices) for batch in found[:-1]} == {size}
+    for batch in found:
+        assert batch.situations == tuple(situations[index] for index in batch.indices)
+
+
+def test_questions_are_shuffled_by_the_salt_and_keep_their_companions() -> None:
+    """What a resume has left to ask comes in the order that it had; scenarios that are asked together stay together."""
+    situations = {n: fake_scenario("grasp", n).last_situation() for n in range(200)}
+    found = batches(situations, 7)
+    asked = shuffled(found, "salt")
+    assert {frozenset(batch.indices) for batch in asked} == {frozenset(batch.indices) for batch in found}
+    for batch in asked:
+        assert batch.situations == tuple(situations[index] for index in batch.indices)
+    order = [index for batch in asked for index in batch.indices]
+    assert order != list(situations) and any(list(batch.indices) != sorted(batch.indices) for batch in asked)
+    assert order != [index for batch in shuffled(found, "other") for index in batch.indices]
+    left = [batch for batch in found if batch.indices[0] % 2]
+    assert shuffled(left, "salt") == [batch for batch in asked if min(batch.indices) % 2]

@@ -1,0 +1,191 @@
+"""Frozen lists: how they are drawn, and that the ones that ship keep their promises."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from evaluator.cli.main import cli
+from evaluator.policy import resolve
+from evaluator.scenarios import SPLITS, VERSION, load_list, manifest_path, reference_pinch, reference_tools
+from evaluator.scenarios.generation import COUNTS, ROOT_SEED, Picker, write_lists
+from evaluator.sim.parameters import WORLD
+from evaluator.sim.spawn import draw_episode, episode_generator
+from rema_data.errors import InputError, IntegrityError, PolicyFailureError
+from rema_data.schema import TASKS
+
+
+@pytest.fixture
+def manifests(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path))
+    return tmp_path
+
+
+def test_lists_do_not_depend_on_the_number_of_workers(manifests: Path) -> None:
+    small = {"test": 3, "val": 1}
+    for version, workers in (("a", 1), ("b", 2)):
+        write_lists(version, ("grasp_push", "grasp_grasp"), small, workers)
+    digests = []
+    for version in ("a", "b"):
+        content = json.loads(manifest_path(version).read_text())
+        digests.append({name: entry["sha256"] for name, entry in content["lists"].items()})
+    assert digests[0] == digests[1]
+    assert len(digests[0]) == 4
+    drawn = load_list("grasp_grasp", version="a").scenarios
+    assert [len(scenario.grips) for scenario in drawn] == [2, 2, 2]
+
+
+def test_a_list_is_never_changed(manifests: Path) -> None:
+    path = write_lists("a", ("grasp",), {"test": 2, "val": 1}, 1)
+    before = (path.parent / "grasp_test.parquet").read_bytes()
+    write_lists("a", ("grasp",), {"test": 5, "val": 1}, 1)
+    assert (path.parent / "grasp_test.parquet").read_bytes() == before
+    with pytest.raises(InputError, match="at least one"):
+        write_lists("c", ("grasp",), {"test": 0, "val": 1})
+
+
+def test_a_list_that_no_manifest_names_is_drawn_again(manifests: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As after a kill between the list and its manifest."""
+
+    def killed(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("evaluator.scenarios.generation.update_manifest", killed)
+        with pytest.raises(KeyboardInterrupt):
+            write_lists("a", ("grasp",), {"test": 2, "val": 1}, 1)
+    left = manifest_path("a").with_name("grasp_test.parquet")
+    assert left.exists() and not manifest_path("a").exists()
+    left.write_bytes(b"of another count, or half a list")
+    write_lists("a", ("grasp",), {"test": 2, "val": 1}, 1)
+    assert len(load_list("grasp", version="a").scenarios) == 2 and len(load_list("grasp", "val", "a").scenarios) == 1
+
+
+def test_a_list_that_is_gone_comes_back_only_as_it_was(manifests: Path) -> None:
+    path = write_lists("a", ("grasp",), {"test": 2, "val": 1}, 1)
+    file = path.with_name("grasp_test.parquet")
+    before, named = file.read_bytes(), path.read_bytes()
+    file.unlink()
+    with pytest.raises(IntegrityError, match="grasp_test.parquet, which is gone") as caught:
+        write_lists("a", ("grasp",), {"test": 3, "val": 1}, 1)
+    assert "git checkout" in caught.value.hint and not file.exists() and path.read_bytes() == named
+    write_lists("a", ("grasp",), {"test": 2, "val": 1}, 1)
+    assert file.read_bytes() == before and path.read_bytes() == named
+    path.write_text("{")
+    with pytest.raises(IntegrityError, match="cannot be read"):
+        write_lists("a", ("grasp",), {"test": 2, "val": 1}, 1)
+
+
+def test_a_list_is_named_where_it_lies(manifests: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also when the present version only names the list of an older one."""
+    picker = Picker(resolve("random"), None, tmp_path / "log")
+    write_lists("old", ("push",), {"test": 2, "val": 1}, 1)
+    for present, new in (("old", "middle"), ("middle", "new")):
+        monkeypatch.setattr("evaluator.scenarios.lists.VERSION", present)
+        write_lists(new, ("push",), {"test": 9, "val": 9}, 1, picker=picker)
+    lists = [json.loads(manifest_path(version).read_text())["lists"] for version in ("middle", "new")]
+    assert lists[0] == lists[1] and lists[1]["push/test"]["file"] == "../old/push_test.parquet"
+    assert load_list("push", version="new").scenarios == load_list("push", version="old").scenarios
+
+
+def test_what_a_picker_prints_is_not_frozen(manifests: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("REMA_HOME", str(tmp_path / "home"))
+    given: list[Picker] = []
+
+    def write(version: str, *rest: Any) -> Path:
+        given.append(rest[-2])
+        return manifest_path(version)
+
+    monkeypatch.setattr("evaluator.scenarios.generation.write_lists", write)
+    done = CliRunner().invoke(cli, ["scenarios", "a", "--picker", "random"])
+    assert done.exit_code == 0, done.output
+    assert given[0].log == tmp_path / "home" / "logs" / "scenarios-a.log"
+
+
+def test_a_list_can_be_kept(manifests: Path) -> None:
+    """A version may draw some tasks anew and name the lists in force of others."""
+    write_lists(VERSION, ("grasp", "push"), {"test": 2, "val": 1}, 1)
+    path = write_lists("a", ("grasp",), {"test": 3, "val": 1}, 1, keep=("push",))
+    entries = json.loads(path.read_text())["lists"]
+    assert entries["push/test"]["file"] == f"../{VERSION}/push_test.parquet"
+    assert len(load_list("grasp", version="a").scenarios) == 3
+    assert load_list("push", version="a").scenarios == load_list("push").scenarios
+
+
+PICKERS = """
+class Clumsy:
+    \"\"\"Right of the middle of what it sees, which is at times a good place.\"\"\"
+    def __init__(self, checkpoint, device): ...
+    def act(self, observations):
+        picks = []
+        for scene in observations.scene:
+            rows, columns = scene.nonzero()
+            picks.append((min(max(int(rows.mean()), 4), 59), min(max(int(columns.mean()), 4), 59), 4))
+        return picks
+
+class Hopeless(Clumsy):
+    def act(self, observations):
+        return [(4, 4, 0)] * len(observations.scene)
+"""
+
+
+def test_tools_that_a_policy_picked(manifests: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the number of workers; objects that it cannot pick are drawn again, and the manifest says who picked."""
+    code = tmp_path / "pickers.py"
+    code.write_text(PICKERS)
+    picker = Picker(resolve(f"{code}:Clumsy"), None, tmp_path / "log")
+    write_lists(VERSION, ("push",), {"test": 2, "val": 1}, 1)
+    listed = []
+    for version, workers in (("a", 1), ("b", 2)):
+        write_lists(version, ("grasp_push", "push"), {"test": 3, "val": 1}, workers, picker=picker)
+        listed.append(json.loads(manifest_path(version).read_text())["lists"])
+    assert listed[0] == listed[1]
+    entry = listed[0]["grasp_push/test"]
+    assert entry["picker"] == "pickers-Clumsy" and len(entry["picker_digest"]) == 64
+    assert sum(item["redrawn"] for item in listed[0].values()) > 0
+    for scenario in load_list("grasp_push", version="a").scenarios:
+        assert len(scenario.grips) == 1 and scenario.grips[0].spec == scenario.placements[0].spec
+    assert (
+        listed[0]["push/test"]["file"] == f"../{VERSION}/push_test.parquet"
+    )  # no tools: the list of the present version
+    assert load_list("push", version="a").scenarios == load_list("push", version=VERSION).scenarios
+
+    monkeypatch.setattr("evaluator.scenarios.policy_picks.LIMIT", 2)
+    with pytest.raises(PolicyFailureError, match="failed on 2 objects in a row"):
+        write_lists(
+            "c",
+            ("grasp_push",),
+            {"test": 2, "val": 1},
+            1,
+            picker=Picker(resolve(f"{code}:Hopeless"), None, tmp_path / "log"),
+        )
+
+
+@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("split", SPLITS)
+def test_the_shipped_lists(task: str, split: str) -> None:
+    frozen = load_list(task, split)
+    assert frozen.version == VERSION
+    assert len(frozen.scenarios) == COUNTS[split]
+    for scenario in frozen.scenarios:
+        assert len(scenario.placements) == len(TASKS[task])
+        assert len(scenario.grips) == reference_tools(task)
+        assert (scenario.pinch is not None) == reference_pinch(task)
+    entry = json.loads(manifest_path(VERSION).read_text())["lists"][f"{task}/{split}"]
+    assert entry["seed_domain"] == f"{ROOT_SEED}/{split}"
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_no_scene_is_in_two_domains(task: str) -> None:
+    test, val = ({scenario.placements for scenario in load_list(task, split).scenarios} for split in SPLITS)
+    assert len(test) == COUNTS["test"]
+    assert not test & val
+    collected = {draw_episode(episode_generator(ROOT_SEED, "collect", task, n), task, WORLD) for n in range(1000)}
+    calibrated = {draw_episode(episode_generator(ROOT_SEED, "calibrate", task, n), task, WORLD) for n in range(1000)}
+    for drawn in (collected, calibrated):
+        assert not drawn & (test | val)
+        assert not {placements[-1] for placements in drawn} & {placements[-1] for placements in test | val}
