@@ -26,9 +26,9 @@ START = "<!-- leaderboard: made by benchmarks/leaderboard.py -->"
 END = "<!-- end of leaderboard -->"
 NOTE = (
     "Success, % [95 % interval], over the 10,000 test scenarios of a task. Policies of one column that share a letter "
-    "do not differ beyond chance (paired tests on the same scenarios, adjusted for their number). `privileged`: it saw "
-    "the ground truth. `published`: the paper's rates, whose scenes and simulator are not ours. `rema leaderboard` "
-    "shows the rest."
+    "do not differ significantly (paired tests on the same scenarios, adjusted for their number). `privileged`: the "
+    "policy saw the ground truth. `published`: the paper's rates, from other scenes and another simulator. "
+    "`rema leaderboard` shows the rest."
 )
 
 
