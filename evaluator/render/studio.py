@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import pybullet
 
+from evaluator.render.arms import dressed_urdf
 from evaluator.sim import robots
 from evaluator.sim.kinematics import base_of, solve, solve_path
 from evaluator.sim.parameters import WORLD, WorldParameters
@@ -131,7 +132,7 @@ class Studio:
 
     def __init__(self, meshes: str, parameters: WorldParameters = WORLD) -> None:
         self._p = parameters
-        self._world = World(("left", "right"), parameters, meshes)
+        self._world = World(("left", "right"), parameters, dressed_urdf(meshes, parameters))
         self._client = self._world.client
         self._extras: list[int] = []
         client = self._client
