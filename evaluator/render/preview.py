@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evaluator.render.studio import Marker, Shot, shot_of_stage, shot_of_world
+from evaluator.render.studio import COLOUR_NAMES, Marker, Shot, shot_of_stage, shot_of_world
 from evaluator.sim.kinds import kind_of
 from evaluator.sim.observation import observe
 from evaluator.sim.parameters import WORLD
@@ -44,6 +44,7 @@ __all__ = [
     "markers",
     "play",
     "roles",
+    "touching",
     "waiting_shot",
     "write_preview",
 ]
@@ -215,6 +216,12 @@ def roles(situation: Situation) -> list[tuple[str, ObjectSpec]]:
     """Objects of a simulated step, in the order in which the simulator places them: for ``shot_of_world``."""
     _, things = _staged(situation, 0, "left")
     return [(thing.role, thing.spec) for thing in things]
+
+
+def touching(situation: Situation) -> str:
+    """What may touch the target, in words, with its colour in the pictures."""
+    kind = kind_of(situation)
+    return kind.touching if kind.role is None else f"{kind.touching} ({COLOUR_NAMES[kind.role]})"
 
 
 def waiting_shot(situation: Situation, action: int) -> Shot:

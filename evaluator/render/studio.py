@@ -23,7 +23,7 @@ from evaluator.sim.staging import HandPose, Thing
 from evaluator.sim.world import World
 from rema_data.schema import ObjectSpec
 
-__all__ = ["COLOURS", "Body", "Marker", "Shot", "Studio", "shot_of_stage", "shot_of_world"]
+__all__ = ["COLOURS", "COLOUR_NAMES", "Body", "Marker", "Shot", "Studio", "shot_of_stage", "shot_of_world"]
 
 Array = npt.NDArray[Any]
 Colour = tuple[float, float, float, float]
@@ -34,6 +34,7 @@ COLOURS: dict[str, Colour] = {
     "held": (0.55, 0.24, 0.72, 1.0),
 }
 """Of an object, by what it is to the step."""
+COLOUR_NAMES = {"target": "red", "tool": "blue", "held": "purple"}
 _TABLE: Colour = (0.80, 0.76, 0.70, 1.0)
 _SHADE: Colour = (0.66, 0.62, 0.56, 1.0)
 _COLUMN: Colour = (0.34, 0.36, 0.40, 1.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from evaluator.sim.motion import JointPath
@@ -63,7 +63,7 @@ class Attempt:
     target: int
     allowed: tuple[int, ...]
     forbidden: tuple[int, ...] = ()
-    evidence: Evidence = Evidence()
+    evidence: Evidence = field(default_factory=Evidence)
 
     @property
     def parameters(self) -> WorldParameters:

@@ -82,5 +82,6 @@ class Simulator:
         measured = attempt.evidence.evidence()
         if not all(math.isfinite(value) for value in measured.values() if isinstance(value, float)):
             return StepOutcome(False, Failure.UNSTABLE, arm=arm, sim_steps=world.steps)
-        grip, pinch = (made if isinstance(made, record) else None for record in (Grip, Pinch))
+        grip = made if isinstance(made, Grip) else None
+        pinch = made if isinstance(made, Pinch) else None
         return StepOutcome(failure is None, failure, grip=grip, pinch=pinch, **measured)

@@ -51,7 +51,7 @@ class Kind(ABC):
     step: ClassVar[StepKind]
     acting: ClassVar[str]
     touching: ClassVar[str]
-    role: ClassVar[str | None]
+    role: ClassVar[str | None] = None
     measure: ClassVar[str]
     closes: ClassVar[bool] = False
     symmetric: ClassVar[bool] = False

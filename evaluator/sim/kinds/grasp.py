@@ -30,7 +30,7 @@ class Grasp(OneArm, GraspKind):
     """A grasp with bare fingers. Where it is not the last step of a task, the object becomes a tool."""
 
     step = StepKind(Primitive.GRASP, Embodiment.GRIPPER)
-    acting, touching, role = "the gripper", "the fingers", None
+    acting, touching = "the gripper", "the fingers"
     symmetric = True
 
     def opening(self, situation: Situation, closed: bool, p: WorldParameters) -> float:

@@ -19,7 +19,7 @@ class Push(OneArm, PushKind):
     """A push of one hand, with closed bare fingers."""
 
     step = StepKind(Primitive.PUSH, Embodiment.GRIPPER)
-    acting, touching, role = "the gripper", "the fingers", None
+    acting, touching = "the gripper", "the fingers"
     symmetric = True
     margin_m = CLEAR_M
     """What passes the target farther away than this can't touch it."""
