@@ -16,12 +16,12 @@ from baselines.observation_hash import observation_numbers
 from baselines.scripted_policy import ScriptedPolicy
 from evaluator.policy.contract import ObservationBatch
 from evaluator.sim.footprints import hand_footprints, inner_extents
+from evaluator.sim.kinds import kind_of
 from evaluator.sim.parameters import WORLD
 from evaluator.sim.planar import gap
-from evaluator.sim.reference import pick_candidates
 from evaluator.sim.shapes import boxes, footprint
 from rema_data import grid
-from rema_data.schema import Embodiment, Placement, Primitive, Situation
+from rema_data.schema import TASKS, Placement, Situation
 
 __all__ = ["ReferencePolicy"]
 
@@ -58,20 +58,21 @@ class ReferencePolicy:
     def act(self, observations: ObservationBatch, situations: tuple[Situation, ...]) -> npt.NDArray[np.int64]:
         """Grid indices, int64 (N,)."""
         actions = self._otherwise.act(observations, situations)
-        if observations.primitive == Primitive.PUSH:
+        makes = TASKS[observations.task][observations.step].makes
+        if makes is None:
             return actions
-        two_arms = observations.embodiment == Embodiment.STICKS
         for n, number in enumerate(observation_numbers(observations)):
             valid, situation = observations.valid[n].reshape(-1), situations[n]
-            best = _pinch(situation, valid) if two_arms else _pick(situation.target, valid, number)
+            best = _pinch(situation, valid) if makes == "pinch" else _first(situation, valid, number)
             if best is not None:
                 actions[n] = best
         return actions
 
 
-def _pick(target: Placement, valid: Valid, number: int) -> int | None:
-    candidates = pick_candidates(target, np.random.default_rng(number), WORLD)
-    return next((action for action in candidates if valid[action]), None)
+def _first(situation: Situation, valid: Valid, number: int) -> int | None:
+    """The first candidate of the reference that made the frozen scenarios; a push has none."""
+    random = np.random.default_rng(number)
+    return next(kind_of(situation).candidates(situation.target, valid, random, WORLD), None)
 
 
 def _pinch(situation: Situation, valid: Valid) -> int | None:

@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from baselines.observation_hash import observation_numbers
 from evaluator.policy.contract import ObservationBatch
-from evaluator.sim.parameters import WORLD
+from evaluator.sim.kinds import kind_of
 from rema_data import grid
-from rema_data.schema import Primitive, Situation
+from rema_data.schema import Situation
 
 __all__ = ["ScriptedPolicy"]
 
@@ -38,10 +38,8 @@ class ScriptedPolicy:
         angles = np.array(
             [_angle(*pair) for pair in zip(observations.valid, observation_numbers(observations), strict=True)]
         )
-        offset_m = WORLD.scripted_push_offset_m if observations.primitive == Primitive.PUSH else 0.0
-        x_m = np.array([situation.target.x_m - offset_m for situation in situations])
-        y_m = np.array([situation.target.y_m for situation in situations])
-        rows, columns, _ = grid.decode(grid.snap(x_m, y_m, angles * (2 * np.pi / grid.ANGLES)))
+        aims = np.array([kind_of(situation).aim(situation.target) for situation in situations]).reshape(-1, 2)
+        rows, columns, _ = grid.decode(grid.snap(aims[:, 0], aims[:, 1], angles * (2 * np.pi / grid.ANGLES)))
         cells = zip(observations.valid, rows.tolist(), columns.tolist(), angles.tolist(), strict=True)
         return np.array([grid.encode(*nearest_valid(*cell)) for cell in cells], np.int64)
 

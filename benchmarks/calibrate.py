@@ -24,13 +24,14 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from evaluator.leaderboard.published import published_rate
+from evaluator.sim.kinds import KINDS
 from evaluator.sim.parameters import WORLD, WorldParameters, parameters_hash
 from evaluator.sim.reach import reachable
 from evaluator.sim.reference import prepare
 from evaluator.sim.simulator import Simulator
 from evaluator.sim.spawn import episode_generator
 from rema_data import grid
-from rema_data.schema import TASKS, Primitive
+from rema_data.schema import TASKS
 
 PUBLISHED_TASKS = [task for task in TASKS if published_rate("random", task) is not None]
 ROOT_SEED = 20211201
@@ -49,17 +50,15 @@ def count(job: tuple[str, range, WorldParameters]) -> dict[str, collections.Coun
     last = len(TASKS[task]) - 1
     kind = TASKS[task][last]
     valid = np.flatnonzero(reachable(kind, parameters).any(axis=0))
-    angles = grid.PAIR_ANGLES if kind.embodiment.two_arms else grid.ANGLES
-    offset = parameters.scripted_push_offset_m if kind.primitive is Primitive.PUSH else 0.0
     counts: dict[str, collections.Counter[str]] = {"random": collections.Counter(), "scripted": collections.Counter()}
     for episode in episodes:
         rng = episode_generator(ROOT_SEED, "calibrate", task, episode)
         situation = prepare(simulator, task, rng).last_situation(task)
-        target = situation.target
-        yaw = float(rng.integers(angles)) * 2 * np.pi / grid.ANGLES
+        x_m, y_m = KINDS[kind].aim(situation.target, parameters)
+        yaw = float(rng.integers(kind.angles)) * 2 * np.pi / grid.ANGLES
         actions = {
             "random": int(valid[rng.integers(len(valid))]),
-            "scripted": int(grid.snap(target.x_m - offset, target.y_m, yaw)),
+            "scripted": int(grid.snap(x_m, y_m, yaw)),
         }
         for policy, action in actions.items():
             outcome = simulator.run(situation, action)

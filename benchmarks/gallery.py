@@ -17,14 +17,14 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+from benchmarks.situations import last_situation
 from evaluator.render.preview import play, write_preview
-from evaluator.sim.parameters import WORLD
+from evaluator.sim.kinds import KINDS
 from evaluator.sim.reach import valid_actions
-from evaluator.sim.reference import reference_pick, reference_pinch, tool_steps
 from evaluator.sim.simulator import Simulator
-from evaluator.sim.spawn import draw_episode, episode_generator
+from evaluator.sim.spawn import episode_generator
 from rema_data import grid
-from rema_data.schema import TASKS, Embodiment, Primitive, Situation
+from rema_data.schema import TASKS, Situation
 
 ROOT_SEED = 7
 MIDDLE_M = 0.06
@@ -42,38 +42,22 @@ TITLES = {
 }
 
 
-def last_situation(simulator: Simulator, task: str, episode: int) -> Situation | None:
-    """The last step of an episode, with tools in hand; None where they could not be picked up."""
-    rng = episode_generator(ROOT_SEED, "calibrate", task, episode)
-    placements = draw_episode(rng, task)
-    picked = [reference_pick(simulator, task, step, placements[step], rng) for step in tool_steps(task)]
-    grips = tuple(grip for grip in picked if grip is not None)
-    if len(grips) < len(picked):
-        return None
-    pinch = None
-    if TASKS[task][-1].embodiment is Embodiment.PINCHED:
-        pinch = reference_pinch(simulator, placements[2], grips, rng)
-        if pinch is None:
-            return None
-    return Situation(task, len(placements) - 1, placements[-1], grips, pinch)
-
-
 def success(simulator: Simulator, task: str, first: int) -> tuple[Situation, int]:
     """The first scripted success from episode ``first`` on: its situation and action."""
     kind = TASKS[task][-1]
     valid = valid_actions(task, len(TASKS[task]) - 1).reshape(-1)
     # a pair is seen best from the side
     angles = (4, 3, 5, 2, 6) if kind.embodiment.two_arms else tuple(range(grid.ANGLES))
-    offset = WORLD.scripted_push_offset_m if kind.primitive is Primitive.PUSH else 0.0
     for episode in range(first, first + 200):
-        situation = last_situation(simulator, task, episode)
+        situation = last_situation(task, simulator, episode_generator(ROOT_SEED, "calibrate", task, episode))
         if situation is None:
             continue
         target = situation.target
         if max(abs(target.x_m), abs(target.y_m)) > MIDDLE_M:
             continue
+        x_m, y_m = KINDS[kind].aim(target)
         for k in angles:
-            action = int(grid.snap(target.x_m - offset, target.y_m, k * 2 * np.pi / grid.ANGLES))
+            action = int(grid.snap(x_m, y_m, k * 2 * np.pi / grid.ANGLES))
             if not valid[action]:
                 continue
             outcome = simulator.run(situation, action)

@@ -22,7 +22,7 @@ import numpy.typing as npt
 import pybullet
 import pybullet_data
 
-from evaluator.sim.kinds.grasp import POLL_EVERY
+from evaluator.sim.attempt import POLL_EVERY
 from evaluator.sim.kinematics import base_of
 from evaluator.sim.motion import profile
 from evaluator.sim.parameters import WORLD, WorldParameters

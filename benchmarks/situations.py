@@ -16,13 +16,14 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from baselines.scripted_policy import nearest_valid
+from evaluator.sim.kinds import kind_of
 from evaluator.sim.parameters import WorldParameters
 from evaluator.sim.reach import reachable
-from evaluator.sim.reference import reference_pick, reference_pinch, tool_steps
+from evaluator.sim.reference import reference_step
 from evaluator.sim.simulator import Simulator
 from evaluator.sim.spawn import draw_episode, episode_generator
 from rema_data import grid
-from rema_data.schema import TASKS, Embodiment, Placement, Primitive, Situation, StepKind
+from rema_data.schema import Scenario, Situation, StepKind
 
 ROOT_SEED = 20211202
 """Other episodes than those that the constants were calibrated on."""
@@ -79,7 +80,7 @@ def draw_cases(
     episode = start
     while len(cases) < count * len(wanted):
         rng = episode_generator(ROOT_SEED, "calibrate", task, episode)
-        situation = _situation(task, simulator, rng)
+        situation = last_situation(task, simulator, rng)
         if situation is not None:
             for policy in wanted:
                 action = choose(policy, situation, rng, simulator.parameters)
@@ -88,17 +89,16 @@ def draw_cases(
     return cases, episode
 
 
-def _situation(task: str, simulator: Simulator, rng: np.random.Generator) -> Situation | None:
-    placements = draw_episode(rng, task, simulator.parameters)
-    grips = tuple(reference_pick(simulator, task, step, placements[step], rng) for step in tool_steps(task))
-    held = tuple(grip for grip in grips if grip is not None)
-    if len(held) < len(grips):
-        return None
-    last = len(TASKS[task]) - 1
-    if TASKS[task][last].embodiment is not Embodiment.PINCHED:
-        return Situation(task, last, placements[-1], held)
-    pinch = reference_pinch(simulator, placements[last - 1], held, rng)
-    return None if pinch is None else Situation(task, last, placements[-1], held, pinch)
+def last_situation(task: str, simulator: Simulator, rng: np.random.Generator) -> Situation | None:
+    """The last step of a random episode, with tools in hand; None where they could not be picked up."""
+    episode = Scenario(task, "calibrate", 0, draw_episode(rng, task, simulator.parameters))
+    situation = episode.first_situation()
+    while not situation.last:
+        outcome = reference_step(simulator, situation, rng)
+        if outcome is None:
+            return None
+        situation = episode.next_situation(situation, outcome)
+    return situation
 
 
 def choose(policy: str, situation: Situation, rng: np.random.Generator, parameters: WorldParameters) -> int:
@@ -107,19 +107,12 @@ def choose(policy: str, situation: Situation, rng: np.random.Generator, paramete
     if policy == "random":
         allowed = np.flatnonzero(valid)
         return int(allowed[rng.integers(len(allowed))])
-    x_m, y_m = aim(situation.target, situation.kind, parameters)
+    x_m, y_m = kind_of(situation).aim(situation.target, parameters)
     if policy == "near":
         x_m, y_m = x_m + float(rng.uniform(-NEAR_M, NEAR_M)), y_m + float(rng.uniform(-NEAR_M, NEAR_M))
-    angles = grid.PAIR_ANGLES if situation.kind.embodiment.two_arms else grid.ANGLES
-    yaw = float(rng.integers(angles)) * 2 * np.pi / grid.ANGLES
+    yaw = float(rng.integers(situation.kind.angles)) * 2 * np.pi / grid.ANGLES
     i, j, k = (int(part) for part in grid.decode(grid.snap(x_m, y_m, yaw)))
     return int(grid.encode(*nearest_valid(valid, i, j, k)))
-
-
-def aim(target: Placement, kind: StepKind, parameters: WorldParameters) -> tuple[float, float]:
-    """Where the scripted policy acts: the centre of mass, or a constant offset behind it for a push (x, y in m)."""
-    offset = parameters.scripted_push_offset_m if kind.primitive is Primitive.PUSH else 0.0
-    return target.x_m - offset, target.y_m
 
 
 @lru_cache(maxsize=16)

@@ -6,10 +6,11 @@ import hashlib
 import json
 from typing import Any
 
-from evaluator.sim.parameters import WORLD, parameters_hash
+from evaluator.sim.kinds import KINDS
+from evaluator.sim.parameters import parameters_hash
 from rema_data import grid
 from rema_data.errors import InputError
-from rema_data.schema import SCHEMA_VERSION, TASKS, Embodiment, Primitive, StepKind, check_task
+from rema_data.schema import TASKS, check_task
 
 __all__ = ["PROTOCOLS", "protocol", "protocol_hash"]
 
@@ -45,12 +46,12 @@ def protocol(task: str, name: str) -> dict[str, Any]:
         raise InputError(f"unknown protocol {name!r}", hint=f"choose one of: {', '.join(PROTOCOLS)}", protocol=name)
     return {
         "version": 1,
-        "schema_version": SCHEMA_VERSION,
+        "schema_version": 1,  # of the records that the results are made of, not of a file: it stays
         "name": name,
         "meaning": PROTOCOLS[name],
         "task": task,
         "steps": [
-            {"primitive": str(kind.primitive), "embodiment": str(kind.embodiment), "success": _criterion(kind)}
+            {"primitive": str(kind.primitive), "embodiment": str(kind.embodiment), "success": KINDS[kind].criterion()}
             for kind in kinds
         ],
         "scored_steps": [len(kinds) - 1] if name == "conditional" else list(range(len(kinds))),
@@ -66,31 +67,6 @@ def protocol(task: str, name: str) -> dict[str, Any]:
         },
         "parameters_hash": parameters_hash(),
     }
-
-
-def _criterion(kind: StepKind) -> str:
-    """What counts as success of a step, with its thresholds."""
-    if kind.primitive is Primitive.PUSH:
-        goal = f"at rest, the target's centre of mass is at least {WORLD.push_success_m:g} m further in +x than before"
-    else:
-        lift_m = WORLD.pair_success_lift_m if kind.embodiment.two_arms else WORLD.grasp_success_lift_m
-        goal = (
-            f"{WORLD.hold_steps} simulation steps after the lift, the target's centre of mass is at least {lift_m:g} m "
-            "higher than on the table, and the target is still held"
-        )
-    rules = [goal, f"a hand or tool that lands on the target with more than {WORLD.stop_force_n:g} N ends the attempt"]
-    if kind.embodiment is not Embodiment.GRIPPER:
-        allowed = {
-            Embodiment.TOOL: "the held tool",
-            Embodiment.STICKS: "the two held sticks",
-            Embodiment.PINCHED: "the pinched object",
-        }
-        rules.append(f"nothing but {allowed[kind.embodiment]} touches the target")
-        rules.append(
-            f"no tool moves more than {WORLD.max_tool_slip_m:g} m or turns more than {WORLD.max_tool_turn_rad:g} rad "
-            "in the hand"
-        )
-    return "; ".join(rules)
 
 
 def protocol_hash(task: str, name: str) -> str:

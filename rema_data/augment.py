@@ -37,7 +37,7 @@ from torch import Tensor
 from rema_data.errors import InputError
 from rema_data.grid import ANGLES, EE_PIXELS, PAIR_ANGLES, SCENE_PIXELS, VALID_MARGIN
 from rema_data.samplers.strata import column_of, table_of
-from rema_data.schema import Embodiment, Primitive
+from rema_data.schema import Embodiment, Primitive, StepKind
 
 __all__ = ["Augment", "Random", "Symmetry", "mirror", "rotate", "symmetry", "translate", "turn"]
 
@@ -67,10 +67,8 @@ class Symmetry(NamedTuple):
 
 def symmetry(primitive: str, embodiment: str) -> Symmetry:
     """What may be done to steps of this kind."""
-    pair = Embodiment(embodiment).two_arms
-    if Primitive(primitive) is Primitive.PUSH:
-        return Symmetry(0, pair)
-    return Symmetry(PAIR_ANGLES if pair else ANGLES, pair)
+    kind = StepKind(Primitive(primitive), Embodiment(embodiment))
+    return Symmetry(0 if kind.primitive is Primitive.PUSH else kind.angles, kind.embodiment.two_arms)
 
 
 def translate(scene: Tensor, action: Tensor, random: Random, max_pixels: int | None = None) -> tuple[Tensor, Tensor]:

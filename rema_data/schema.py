@@ -1,4 +1,4 @@
-"""The records that flow through rema: one set of types for the simulator, the store, the sampler and the judge.
+"""The records that flow through rema: one set of types for the simulator, the store, the sampler and the evaluator.
 
 Frames
 ------
@@ -16,9 +16,9 @@ pair
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass, field
 from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -60,34 +60,72 @@ class Embodiment(StrEnum):
         """Whether both arms act as one, which halves the range of angles."""
         return self in (Embodiment.STICKS, Embodiment.PINCHED)
 
+    @property
+    def bare(self) -> bool:
+        """Whether the fingers themselves touch the target: nothing is held."""
+        return self is Embodiment.GRIPPER
+
 
 class StepKind(NamedTuple):
-    """What one step of a task asks for."""
+    """What one step of a task asks for. How it is carried out stands in ``evaluator.sim.kinds``."""
 
     primitive: Primitive
     embodiment: Embodiment
 
+    @property
+    def angles(self) -> int:
+        """Number of angles that an action may have: those from 0 on."""
+        return grid.PAIR_ANGLES if self.embodiment.two_arms else grid.ANGLES
+
+    @property
+    def makes(self) -> Literal["tool", "pinch"] | None:
+        """What a success leaves in the hands for the next step: a tool, an object between two sticks, or nothing."""
+        if self.primitive is not Primitive.GRASP:
+            return None
+        return "pinch" if self.embodiment.two_arms else "tool"
+
+
+class Task(NamedTuple):
+    """A task: its steps in order, and a number that never changes, since it keys what is drawn and how blocks lie."""
+
+    number: int
+    steps: tuple[StepKind, ...]
+
 
 _PICK = StepKind(Primitive.GRASP, Embodiment.GRIPPER)
+_PUSH = StepKind(Primitive.PUSH, Embodiment.GRIPPER)
+_TOOL_PUSH = StepKind(Primitive.PUSH, Embodiment.TOOL)
+_PINCER = StepKind(Primitive.GRASP, Embodiment.STICKS)
+_PINCHED_PUSH = StepKind(Primitive.PUSH, Embodiment.PINCHED)
 
-TASKS: dict[str, tuple[StepKind, ...]] = {
-    "grasp": (_PICK,),
-    "push": (StepKind(Primitive.PUSH, Embodiment.GRIPPER),),
-    "grasp_grasp": (_PICK, _PICK, StepKind(Primitive.GRASP, Embodiment.STICKS)),
-    "grasp_push": (_PICK, StepKind(Primitive.PUSH, Embodiment.TOOL)),
-    "grasp_grasp_push": (
-        _PICK,
-        _PICK,
-        StepKind(Primitive.GRASP, Embodiment.STICKS),
-        StepKind(Primitive.PUSH, Embodiment.PINCHED),
-    ),
+_TABLE = {
+    "grasp": Task(0, (_PICK,)),
+    "push": Task(1, (_PUSH,)),
+    "grasp_grasp": Task(2, (_PICK, _PICK, _PINCER)),
+    "grasp_push": Task(3, (_PICK, _TOOL_PUSH)),
+    "grasp_grasp_push": Task(4, (_PICK, _PICK, _PINCER, _PINCHED_PUSH)),
 }
+
+TASKS: dict[str, tuple[StepKind, ...]] = {name: task.steps for name, task in _TABLE.items()}
 """Steps of every task, in order. An episode ends at its first failed step (paper, section 3.3)."""
+
+TASK_NUMBERS: dict[str, int] = {name: task.number for name, task in _TABLE.items()}
+"""Number of every task. Nothing depends on the order of ``TASKS`` but the order in which tasks are listed."""
 
 
 def skill(kind: StepKind) -> str:
     """Name of what a step exercises: the task whose last step is of this kind. A tool pick is a ``grasp``."""
-    return next(task for task, steps in TASKS.items() if steps[-1] == kind)
+    return min((task for task, steps in TASKS.items() if steps[-1] == kind), key=TASK_NUMBERS.__getitem__)
+
+
+def tool_steps(task: str) -> tuple[int, ...]:
+    """Steps of a task whose object becomes a tool in one hand: the left one first."""
+    return tuple(n for n, kind in enumerate(TASKS[task][:-1]) if kind.makes == "tool")
+
+
+def pinch_step(task: str) -> int | None:
+    """The step of a task whose object is pinched between two sticks for the steps after it, if there is one."""
+    return next((n for n, kind in enumerate(TASKS[task][:-1]) if kind.makes == "pinch"), None)
 
 
 class Failure(StrEnum):
@@ -301,29 +339,44 @@ class Action:
         return float(x_m), float(y_m), float(yaw_rad)
 
 
+def _measured(default: Any, meaning: str, unit: str = "", frame: str = "") -> Any:
+    """A field of Evidence, with what its column says of itself."""
+    return field(default=default, metadata={"meaning": meaning, "unit": unit, "frame": frame})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evidence:
+    """What was measured in one step: each field is a column of every table of steps, and its meaning stands beside it.
+
+    A new field needs a default, so that outcomes that were stored without it can be read.
+    """
+
+    arm: str = _measured("none", "left, right, both, or none where nothing had to be simulated")
+    displacement_m: float = _measured(0.0, "of the target's centre of mass in +x, at rest", "m", "world")
+    lift_m: float = _measured(0.0, "highest rise of the target's centre of mass", "m", "world")
+    peak_force_n: float = _measured(0.0, "largest normal force on the hand or tool during the descent", "N")
+    contact_steps: int = _measured(0, "simulation steps in which an allowed body touched the target")
+    illegal_steps: int = _measured(0, "simulation steps in which a forbidden body touched the target")
+    sim_steps: int = _measured(0, "simulation steps taken")
+
+    def evidence(self) -> dict[str, Any]:
+        """Names and values of what was measured."""
+        return {name: getattr(self, name) for name in EVIDENCE}
+
+
+EVIDENCE = tuple(item.name for item in dataclasses.fields(Evidence))
+"""Names of the fields of ``Evidence``, in order."""
+
+
 @dataclass(frozen=True, slots=True)
-class StepOutcome:
-    """What one action did.
+class StepOutcome(Evidence):
+    """What one action did, and what was measured of it.
 
     Attributes
     ----------
     success : bool
     failure : Failure or None
         Exactly one label when ``success`` is false, else None.
-    arm : str
-        ``left``, ``right``, ``both``, or ``none`` where nothing had to be simulated.
-    displacement_m : float
-        Of the target's centre of mass in +x, at rest.
-    lift_m : float
-        Highest rise of the target's centre of mass.
-    peak_force_n : float
-        Largest total normal force on the hand or tool during the descent.
-    contact_steps : int
-        Simulation steps in which an allowed body touched the target.
-    illegal_steps : int
-        Simulation steps in which a forbidden body touched the target.
-    sim_steps : int
-        Simulation steps taken.
     grip : Grip or None
         The picked object as a tool, after a successful pick that is not the last step.
     pinch : Pinch or None
@@ -332,13 +385,7 @@ class StepOutcome:
 
     success: bool
     failure: Failure | None
-    arm: str = "none"
-    displacement_m: float = 0.0
-    lift_m: float = 0.0
-    peak_force_n: float = 0.0
-    contact_steps: int = 0
-    illegal_steps: int = 0
-    sim_steps: int = 0
+    _: KW_ONLY
     grip: Grip | None = None
     pinch: Pinch | None = None
 

@@ -12,9 +12,9 @@ from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import Manifest
 from rema_data.release.seal import Description, seal
 from rema_data.schema import (
+    TASK_NUMBERS,
     TASKS,
     Action,
-    Embodiment,
     Episode,
     Failure,
     Grip,
@@ -58,7 +58,7 @@ def _observation(rng: np.random.Generator, bare: bool) -> Observation:
 
 def synthetic_episode(key: BlockKey, index: int, seed: int = 0, success: float = 0.3) -> Episode:
     """An episode as a function of its arguments: steps succeed with probability ``success``, tool picks mostly."""
-    path = (seed, key.round, list(TASKS).index(key.task), key.split == "val", index)
+    path = (seed, key.round, TASK_NUMBERS[key.task], key.split == "val", index)
     rng = np.random.default_rng(np.random.SeedSequence(path))
     steps: list[Step] = []
     grips: tuple[Grip, ...] = ()
@@ -67,21 +67,20 @@ def synthetic_episode(key: BlockKey, index: int, seed: int = 0, success: float =
         x_m, y_m, yaw_rad = rng.uniform((-0.1, -0.1, 0.0), (0.1, 0.1, 6.0)).tolist()
         place = Placement(_spec(rng), x_m, y_m, yaw_rad)
         situation = Situation(key.task, number, place, grips, pinch)
-        angles = 8 if kind.embodiment.two_arms else 16
-        action = encode(*(int(value) for value in (*rng.integers(4, 60, 2), rng.integers(angles))))
+        action = encode(*(int(value) for value in (*rng.integers(4, 60, 2), rng.integers(kind.angles))))
         won = bool(rng.random() < (success if situation.last else 0.9))
         failure = None if won else (Failure.MISSED, Failure.BLOCKED, Failure.SLIPPED)[int(rng.integers(3))]
-        outcome = StepOutcome(
-            won, failure, "left", 0.15 if won else 0.0, 0.3 if won else 0.0, sim_steps=int(rng.integers(1, 300))
-        )
-        seen = _observation(rng, kind.embodiment is Embodiment.GRIPPER)
+        far, high = (0.15, 0.3) if won else (0.0, 0.0)
+        steps_taken = int(rng.integers(1, 300))
+        outcome = StepOutcome(won, failure, arm="left", displacement_m=far, lift_m=high, sim_steps=steps_taken)
+        seen = _observation(rng, kind.embodiment.bare)
         name = "random" if situation.last else "reference"
         steps.append(Step(situation, seen, Action(int(action)), outcome, name, _DIGEST))
         if not won:
             break
-        if kind.embodiment is Embodiment.GRIPPER:
+        if kind.makes == "tool":
             grips = (*grips, Grip(place.spec, 0.0, 0.004, -0.01, 1.5, place.spec.width_m))
-        elif not situation.last:
+        elif kind.makes == "pinch" and not situation.last:
             pinch = Pinch(place.spec, 0.0, 0.0, 0.0, 0.5, 0.1, 0.1)
     return Episode(key.task, key.round, key.split, index, seed, tuple(steps))
 

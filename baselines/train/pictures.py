@@ -15,10 +15,10 @@ from scipy.special import expit
 from baselines.tae.network import TaeNetwork
 from baselines.tae.scoring import Scorer
 from rema_data.errors import InputError
-from rema_data.grid import ANGLES, PAIR_ANGLES, decode, inside_valid_square
+from rema_data.grid import ANGLES, decode, inside_valid_square
 from rema_data.loader.batch import StepBatch
 from rema_data.loader.dataset import StepDataset
-from rema_data.schema import Embodiment
+from rema_data.schema import Embodiment, Primitive, StepKind
 from rema_data.storage import write_atomic
 
 if TYPE_CHECKING:
@@ -65,8 +65,7 @@ def draw_maps(network: TaeNetwork, data: StepDataset, path: Path) -> None:
         axes.set_axis_off()
     hands = torch.movedim(maps.end_effector, 1, -1).numpy()
     for n, (axes, (_, row)) in enumerate(zip(figure.axes, table.iterrows(), strict=False)):
-        pair = Embodiment(str(row["embodiment"])).two_arms
-        angles = PAIR_ANGLES if pair else ANGLES
+        angles = StepKind(Primitive(row["primitive"]), Embodiment(row["embodiment"])).angles
         scores = expit(scorer.log_odds(maps.scene[n].numpy(), hands[n : n + 1], angles)[0])
         scores[~inside_valid_square()] = 0.0
         axes.imshow(maps.scene[n, 0].numpy(), cmap="Greys", vmin=0, vmax=0.08, origin="lower")

@@ -22,7 +22,6 @@ from rema_data.schema import HEIGHT_STEP_M, TASKS, Scenario, Situation, StepOutc
 
 __all__ = ["TaskEnv"]
 
-_EVIDENCE = ("arm", "displacement_m", "lift_m", "peak_force_n", "contact_steps", "illegal_steps", "sim_steps")
 _OPTIONS = {"scenario"}
 
 
@@ -155,7 +154,7 @@ class TaskEnv(gymnasium.Env[dict[str, Any], np.int64]):
         info = self._info(self._situation) | {
             "outcome": "success" if outcome.failure is None else outcome.failure.value,
             "is_success": won,
-            "evidence": {name: getattr(outcome, name) for name in _EVIDENCE},
+            "evidence": outcome.evidence(),
         }
         return self._observation(self._situation), float(won), self._ended, False, info
 

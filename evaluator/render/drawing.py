@@ -19,13 +19,14 @@ from matplotlib.patches import Polygon
 from matplotlib.patheffects import withStroke
 from PIL import Image
 
-from evaluator.render.preview import EVIDENCE, Played, markers
+from evaluator.render.preview import EVIDENCE, Played, markers, touching
 from evaluator.render.studio import Studio
+from evaluator.sim.kinds import kind_of
 from evaluator.sim.observation import SLAB_M, end_effector_states, observe
 from evaluator.sim.parameters import WORLD
 from evaluator.sim.planar import Rect
 from rema_data import grid
-from rema_data.schema import HEIGHT_STEP_M, Embodiment, Observation, Primitive
+from rema_data.schema import HEIGHT_STEP_M, Observation
 
 __all__ = ["HEIGHT", "WIDTH", "draw"]
 
@@ -111,16 +112,17 @@ def _scene(figure: Figure, played: Played, observation: Observation) -> None:
     corners = [(-edge, -edge), (edge, -edge), (edge, edge), (-edge, edge)]
     axes.add_patch(Polygon(corners, closed=True, fill=False, ec="#c9372c", lw=1.2, ls=(0, (4, 2))))
     x, y, yaw = (float(value) for value in grid.to_world(played.action))
+    way = kind_of(played.situation).reach_shifts(WORLD)[-1]
     for part in end_effector_states(played.situation)[0]:
         colour = "#1f6feb" if part.allowed else "#8b949e"
         _outline(axes, part.rect.moved(x, y, yaw), colour, 1.4)
-        if played.situation.kind.primitive is Primitive.PUSH:
-            _outline(axes, part.rect.moved(x + WORLD.push_distance_m, y, yaw), colour, 0.8)
+        if way:
+            _outline(axes, part.rect.moved(x + way, y, yaw), colour, 0.8)
     mm = (x * 1000, y * 1000)
     halo = [withStroke(linewidth=3.2, foreground="white")]
     arrow: dict[str, Any] = {"arrowstyle": "-|>", "lw": 1.8, "color": "#d97706", "path_effects": halo}
-    if played.situation.kind.primitive is Primitive.PUSH:
-        end = min(mm[0] + WORLD.push_distance_m * 1000, half - 2)  # most pushes leave the map
+    if way:
+        end = min(mm[0] + way * 1000, half - 2)  # most pushes leave the map
         axes.annotate("", (end, mm[1]), mm, arrowprops=arrow)
         line = (played.situation.target.x_m + WORLD.push_success_m) * 1000
         if line < half:
@@ -165,18 +167,11 @@ def _end_effector(figure: Figure, observation: Observation) -> None:
 
 def _caption(figure: Figure, played: Played) -> None:
     situation, outcome = played.situation, played.outcome
-    kind = situation.kind
     i, j, k = (int(value) for value in grid.decode(played.action))
     x, y, yaw = (float(value) for value in grid.to_world(played.action))
-    touching = {
-        Embodiment.GRIPPER: "the fingers",
-        Embodiment.TOOL: "the held tool (blue)",
-        Embodiment.STICKS: "the two sticks (blue)",
-        Embodiment.PINCHED: "the pinched object (purple)",
-    }[kind.embodiment]
     arm = {"both": "both arms", "none": "no arm"}.get(outcome.arm, f"the {outcome.arm} arm")
     lines = [
-        f"step {situation.step + 1}: {kind.primitive}; {touching} may touch the target "
+        f"step {situation.step + 1}: {situation.kind.primitive}; {touching(situation)} may touch the target "
         f"(red, {situation.target.spec.shape})",
         f"action i={i} j={j} k={k}: x {x * 1000:+.1f} mm, y {y * 1000:+.1f} mm, {math.degrees(yaw):g} degrees; {arm}",
         _evidence(played),
@@ -189,7 +184,7 @@ def _evidence(played: Played) -> str:
     outcome, situation = played.outcome, played.situation
     if outcome.failure is not None and outcome.failure in EVIDENCE:
         first = EVIDENCE[outcome.failure]
-    elif situation.kind.primitive is Primitive.PUSH:
+    elif kind_of(situation).measure == "displacement_m":
         first = f"moved {outcome.displacement_m * 100:.1f} cm in +x ({WORLD.push_success_m * 100:.0f} needed)"
     else:
         first = f"lifted {outcome.lift_m * 100:.1f} cm"

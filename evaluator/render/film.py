@@ -19,7 +19,6 @@ __all__ = ["SHOT_EVERY", "FilmMaker", "Take", "agreement"]
 
 SHOT_EVERY = 6
 """Simulation steps between two shots."""
-EVIDENCE_FIELDS = ("displacement_m", "lift_m", "peak_force_n", "contact_steps", "illegal_steps", "sim_steps")
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +109,7 @@ class _Filming(Simulator):
     def world(self) -> _WatchedWorld:
         """The one world."""
         if not isinstance(self._world, _WatchedWorld):
-            self._world = _WatchedWorld(("left",), self.parameters, self._meshes)
+            self._world = _WatchedWorld(("left",), self.parameters)
         return self._world
 
 
@@ -146,5 +145,5 @@ def agreement(row: Row, take: Take) -> str:
     label = None if take.outcome.failure is None else take.outcome.failure.value
     if recorded != (take.outcome.success, label):
         return "different"
-    same = all(row[f"step{step}_{name}"] == getattr(take.outcome, name) for name in EVIDENCE_FIELDS)
+    same = all(row.get(f"step{step}_{name}", value) == value for name, value in take.outcome.evidence().items())
     return "identical" if same else "same label"

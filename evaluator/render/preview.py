@@ -19,15 +19,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evaluator.render.studio import Marker, Shot, shot_of_stage, shot_of_world
+from evaluator.render.studio import COLOUR_NAMES, Marker, Shot, shot_of_stage, shot_of_world
+from evaluator.sim.kinds import kind_of
 from evaluator.sim.observation import observe
 from evaluator.sim.parameters import WORLD
 from evaluator.sim.reach import acting_arm, valid_actions
 from evaluator.sim.simulator import Simulator
-from evaluator.sim.staging import hand_poses, held_things, start_height, target_thing
+from evaluator.sim.staging import HandPose, Thing, target_thing
 from rema_data import grid
 from rema_data.errors import InputError
-from rema_data.schema import Embodiment, Failure, ObjectSpec, Primitive, Scenario, Situation, StepOutcome
+from rema_data.schema import Action, Failure, ObjectSpec, Scenario, Situation, StepOutcome
 from rema_data.storage import write_atomic
 
 if TYPE_CHECKING:
@@ -43,6 +44,7 @@ __all__ = [
     "markers",
     "play",
     "roles",
+    "touching",
     "waiting_shot",
     "write_preview",
 ]
@@ -123,7 +125,7 @@ def check_action(situation: Situation, i: int, j: int, k: int) -> int:
         )
     if not valid[i, j, k]:
         low, high = grid.VALID_MARGIN, grid.SCENE_PIXELS - grid.VALID_MARGIN - 1
-        last = (grid.PAIR_ANGLES if situation.kind.embodiment.two_arms else grid.ANGLES) - 1
+        last = situation.kind.angles - 1
         raise InputError(
             f"no arm can carry out action {i},{j},{k} at this step",
             hint=f"rows and columns from {low} to {high}, angles from 0 to {last}; nearer to the middle is easier",
@@ -212,19 +214,27 @@ def play(situation: Situation, action: int) -> Played:
 
 def roles(situation: Situation) -> list[tuple[str, ObjectSpec]]:
     """Objects of a simulated step, in the order in which the simulator places them: for ``shot_of_world``."""
-    found = [("target", situation.target.spec), *(("tool", grip.spec) for grip in situation.grips)]
-    if situation.kind.embodiment is Embodiment.PINCHED and situation.pinch is not None:
-        found.append(("held", situation.pinch.spec))
-    return found
+    _, things = _staged(situation, 0, "left")
+    return [(thing.role, thing.spec) for thing in things]
+
+
+def touching(situation: Situation) -> str:
+    """What may touch the target, in words, with its colour in the pictures."""
+    kind = kind_of(situation)
+    return kind.touching if kind.role is None else f"{kind.touching} ({COLOUR_NAMES[kind.role]})"
 
 
 def waiting_shot(situation: Situation, action: int) -> Shot:
     """The picture before an action: what acts waits ``BEFORE_CLEARANCE_M`` above its place."""
-    x, y, yaw = (float(value) for value in grid.to_world(action))
     arm = acting_arm(situation.task, situation.step, action) or "left"
-    hands = hand_poses(situation, (x, y, yaw), start_height(situation, BEFORE_CLEARANCE_M), arm)
-    things = [target_thing(situation), *held_things(situation, hands, (x, y, yaw))]
-    return shot_of_stage(hands, things, situation.kind.embodiment is Embodiment.GRIPPER)
+    return shot_of_stage(*_staged(situation, action, arm), kind_of(situation).symmetric)
+
+
+def _staged(situation: Situation, action: int, arm: str) -> tuple[list[HandPose], list[Thing]]:
+    """Hands that wait above the place of an action, and all objects: the target first."""
+    kind, pose = kind_of(situation), Action(action).pose
+    hands = kind.hands(situation, pose, kind.start_height(situation, BEFORE_CLEARANCE_M), arm)
+    return hands, [target_thing(situation), *kind.held(situation, hands, pose)]
 
 
 def markers(situation: Situation, action: int) -> list[Marker]:
@@ -234,8 +244,8 @@ def markers(situation: Situation, action: int) -> list[Marker]:
     thin = 0.0012
     found = [Marker(s * edge, 0.0, thin, edge, 0.0, _SQUARE) for s in (-1, 1)]
     found += [Marker(0.0, s * edge, edge, thin, 0.0, _SQUARE) for s in (-1, 1)]
-    if situation.kind.primitive is Primitive.PUSH:
-        way = WORLD.push_distance_m
+    way = kind_of(situation).reach_shifts(WORLD)[-1]
+    if way:
         found.append(Marker(x + way / 2, y, way / 2, 0.0015, 0.0, _AIM))
         for turn in (-1, 1):
             tip = turn * math.radians(150)

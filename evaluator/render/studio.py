@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import pybullet
 
+from evaluator.render.arms import dressed_urdf
 from evaluator.sim import robots
 from evaluator.sim.kinematics import base_of, solve, solve_path
 from evaluator.sim.parameters import WORLD, WorldParameters
@@ -22,7 +23,7 @@ from evaluator.sim.staging import HandPose, Thing
 from evaluator.sim.world import World
 from rema_data.schema import ObjectSpec
 
-__all__ = ["COLOURS", "Body", "Marker", "Shot", "Studio", "shot_of_stage", "shot_of_world"]
+__all__ = ["COLOURS", "COLOUR_NAMES", "Body", "Marker", "Shot", "Studio", "shot_of_stage", "shot_of_world"]
 
 Array = npt.NDArray[Any]
 Colour = tuple[float, float, float, float]
@@ -33,6 +34,7 @@ COLOURS: dict[str, Colour] = {
     "held": (0.55, 0.24, 0.72, 1.0),
 }
 """Of an object, by what it is to the step."""
+COLOUR_NAMES = {"target": "red", "tool": "blue", "held": "purple"}
 _TABLE: Colour = (0.80, 0.76, 0.70, 1.0)
 _SHADE: Colour = (0.66, 0.62, 0.56, 1.0)
 _COLUMN: Colour = (0.34, 0.36, 0.40, 1.0)
@@ -131,7 +133,7 @@ class Studio:
 
     def __init__(self, meshes: str, parameters: WorldParameters = WORLD) -> None:
         self._p = parameters
-        self._world = World(("left", "right"), parameters, meshes)
+        self._world = World(("left", "right"), parameters, dressed_urdf(meshes, parameters))
         self._client = self._world.client
         self._extras: list[int] = []
         client = self._client

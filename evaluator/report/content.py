@@ -13,6 +13,7 @@ from evaluator.protocol import protocol, protocol_hash
 from evaluator.report.breakdown import Group
 from evaluator.report.finished import FinishedRun
 from evaluator.run.summary import PHASES
+from evaluator.sim.kinds import KINDS
 from evaluator.statistics import clopper_pearson, format_rate, percent, rate_interval
 from rema_data.schema import TASKS
 
@@ -51,8 +52,7 @@ _UNKNOWN = "not recorded"
 def step_name(task: str, step: int) -> str:
     """``2: grasp with the gripper``, counted from 1."""
     kind = TASKS[task][step]
-    acting = {"gripper": "the gripper", "tool": "a tool", "sticks": "two sticks", "pinched": "a pinched object"}
-    return f"{step + 1}: {kind.primitive.value} with {acting[kind.embodiment.value]}"
+    return f"{step + 1}: {kind.primitive.value} with {KINDS[kind].acting}"
 
 
 def remarks(run: FinishedRun) -> list[str]:

@@ -10,14 +10,15 @@ import numpy as np
 
 from evaluator.render.film import FilmMaker, Take, agreement
 from evaluator.render.images import Photographer, Photographs, draw_action, draw_scores
-from evaluator.render.preview import EVIDENCE
+from evaluator.render.preview import EVIDENCE, touching
 from evaluator.report.finished import FinishedRun, Row
 from evaluator.report.scores import Scored
 from evaluator.report.selection import Chosen
+from evaluator.sim.kinds import kind_of
 from evaluator.sim.observation import observe
 from rema_data import grid
 from rema_data.progress import Progress
-from rema_data.schema import TASKS, Embodiment, Failure, Primitive, Scenario
+from rema_data.schema import TASKS, Failure, Scenario
 
 __all__ = ["MARKUP", "MEANING", "Card", "fit", "make_cards", "with_scores"]
 
@@ -25,12 +26,6 @@ MARKUP = 700
 """Bytes of the elements around a picture, at most."""
 MEANING: dict[str, str] = {label.value: text for label, text in EVIDENCE.items()}
 MEANING[Failure.POLICY_ERROR.value] = "the policy raised, took too long, or answered with something that is no action"
-_TOUCHING = {
-    Embodiment.GRIPPER: "the fingers",
-    Embodiment.TOOL: "the held tool (blue)",
-    Embodiment.STICKS: "the two sticks (blue)",
-    Embodiment.PINCHED: "the pinched object (purple)",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +128,7 @@ def _step_text(run: FinishedRun, step: int) -> str:
 
 def _facts(row: Row, take: Take) -> list[tuple[str, str]]:
     """What was done and what was recorded of it."""
-    situation, kind = take.situation, take.situation.kind
+    situation = take.situation
     spec, step = situation.target.spec, situation.step
     i, j, k = (int(value) for value in grid.decode(take.action))
     x, y, yaw = (float(value) for value in grid.to_world(take.action))
@@ -141,7 +136,7 @@ def _facts(row: Row, take: Take) -> list[tuple[str, str]]:
     across = f", second bar {spec.arm_m * 100:.1f} cm" if spec.arm_m else ""
     facts = [
         ("target (red)", f"{spec.shape.value}, {spec.length_m * 100:.1f} x {spec.width_m * 100:.1f} cm{across}"),
-        ("may touch it", _TOUCHING[kind.embodiment]),
+        ("may touch it", touching(situation)),
         (
             "action",
             f"i {i}, j {j}, k {k}: x {x * 1000:+.0f} mm, y {y * 1000:+.0f} mm, {math.degrees(yaw):g} deg",
@@ -152,18 +147,18 @@ def _facts(row: Row, take: Take) -> list[tuple[str, str]]:
     label = row[f"step{step}_failure"]
     if label in MEANING:
         facts.append(("why it failed", MEANING[label]))
-    facts.append(("recorded", _evidence(row, step, kind.primitive)))
+    facts.append(("recorded", _evidence(row, step, kind_of(situation).measure)))
     return facts
 
 
-def _evidence(row: Row, step: int, primitive: Primitive) -> str:
+def _evidence(row: Row, step: int, measure: str) -> str:
     moved, lifted, force, steps = (
         row[f"step{step}_{name}"] or 0 for name in ("displacement_m", "lift_m", "peak_force_n", "sim_steps")
     )
     if not steps:
         return "not simulated: nothing could touch the target, or no arm could move there"
     moved = round(moved * 100, 1) + 0.0  # no minus before a zero
-    main = f"moved {moved:+.1f} cm in x" if primitive is Primitive.PUSH else f"lifted {lifted * 100:.1f} cm"
+    main = f"moved {moved:+.1f} cm in x" if measure == "displacement_m" else f"lifted {lifted * 100:.1f} cm"
     parts = [main] + ([f"{force:.0f} N at most in the descent"] if force >= 0.5 else [])
     return ", ".join([*parts, f"{steps} simulation steps"])
 

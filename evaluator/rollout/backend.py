@@ -74,6 +74,7 @@ def default_backend() -> Backend:
     """The real world and the real host."""
     from evaluator.policy import PolicyHost, digest
     from evaluator.protocol import protocol_hash
+    from evaluator.sim import DECIDES
     from evaluator.sim.observation import observe
     from evaluator.sim.parameters import parameters_hash
     from evaluator.sim.reach import valid_actions
@@ -86,7 +87,7 @@ def default_backend() -> Backend:
     return Backend(
         observe=observe,
         valid_actions=valid_actions,
-        observation_hash=f"{parameters_hash()} {source_digest('evaluator.sim')}",
+        observation_hash=f"{parameters_hash()} {source_digest(*DECIDES)}",
         simulator=SIMULATOR,
         fingerprint=FINGERPRINT,
         protocol_hash=protocol_hash,

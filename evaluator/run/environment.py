@@ -85,11 +85,15 @@ def _git(root: Path, *arguments: str) -> str:
     return done.stdout.strip()
 
 
-def source_digest(package: str) -> str:
-    """Sha256 over the names and contents of every Python file of a package, hexadecimal; nothing is imported."""
-    found = find_spec(package)
+def source_digest(*names: str) -> str:
+    """Sha256 over the names and contents of every Python file of packages and modules, hexadecimal.
+
+    Only the packages that they lie in are imported.
+    """
     total = hashlib.sha256()
-    for folder in sorted(found.submodule_search_locations or []) if found else []:
-        for path in sorted(Path(folder).rglob("*.py")):
+    for found in filter(None, map(find_spec, names)):
+        folders = [Path(folder) for folder in sorted(found.submodule_search_locations or ())]
+        files = [(path, folder) for folder in folders for path in sorted(folder.rglob("*.py"))]
+        for path, folder in files or [(Path(str(found.origin)), Path(str(found.origin)).parent)]:
             total.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
     return total.hexdigest()

@@ -19,7 +19,7 @@ from evaluator.engines.base import InfraError
 from evaluator.run.records import Records
 from evaluator.scenarios import ScenarioList, reference_pinch, reference_tools, scenario_id
 from rema_data import grid
-from rema_data.schema import TASKS, Failure, ObjectSpec, Scenario, StepOutcome
+from rema_data.schema import TASKS, Evidence, Failure, ObjectSpec, Scenario, StepOutcome
 
 __all__ = [
     "Verdict",
@@ -31,6 +31,7 @@ __all__ = [
     "verdict",
 ]
 
+_EVIDENCE_TYPES = {"str": pa.string(), "float": pa.float64(), "int": pa.int64()}
 _STEP_FIELDS: tuple[tuple[str, pa.DataType], ...] = (
     ("action", pa.uint16()),
     ("x_m", pa.float64()),
@@ -38,15 +39,8 @@ _STEP_FIELDS: tuple[tuple[str, pa.DataType], ...] = (
     ("theta_rad", pa.float64()),
     ("success", pa.bool_()),
     ("failure", pa.string()),
-    ("arm", pa.string()),
-    ("displacement_m", pa.float64()),
-    ("lift_m", pa.float64()),
-    ("peak_force_n", pa.float64()),
-    ("contact_steps", pa.int64()),
-    ("illegal_steps", pa.int64()),
-    ("sim_steps", pa.int64()),
+    *((item.name, _EVIDENCE_TYPES[str(item.type)]) for item in dataclasses.fields(Evidence)),
 )
-_EVIDENCE = ("arm", "displacement_m", "lift_m", "peak_force_n", "contact_steps", "illegal_steps", "sim_steps")
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +108,7 @@ def _step_row(step: int, action: int | None, result: StepOutcome | InfraError | 
         row["success"] = result.success
         row["failure"] = None if result.failure is None else result.failure.value
         if action is not None:  # nothing was measured where the policy gave no action
-            row.update((name, getattr(result, name)) for name in _EVIDENCE)
+            row.update(result.evidence())
     return {f"step{step}_{name}": value for name, value in row.items()}
 
 

@@ -22,15 +22,15 @@ from rema_data.errors import InputError, IntegrityError, MissingFileError
 from rema_data.manifests import RESTORE, manifests_dir, read_manifest
 from rema_data.schema import (
     TASKS,
-    Embodiment,
     Grip,
     ObjectSpec,
     Pinch,
     Placement,
-    Primitive,
     Scenario,
     Shape,
     check_task,
+    pinch_step,
+    tool_steps,
 )
 from rema_data.storage import write_atomic
 
@@ -83,12 +83,12 @@ def scenario_id(version: str, scenario: Scenario) -> str:
 
 def reference_tools(task: str) -> int:
     """Number of tools in hand at the last step of ``task``."""
-    return sum(kind == (Primitive.GRASP, Embodiment.GRIPPER) for kind in TASKS[task][:-1])
+    return len(tool_steps(task))
 
 
 def reference_pinch(task: str) -> bool:
     """Whether an object is pinched between two sticks at the last step of ``task``."""
-    return TASKS[task][-1].embodiment is Embodiment.PINCHED
+    return pinch_step(task) is not None
 
 
 def _groups(task: str) -> Iterator[tuple[str, tuple[str, ...]]]:

@@ -18,11 +18,11 @@ from evaluator.engines import Engine, InfraError, Job
 from evaluator.policy import ObservationBatch, PolicyFault
 from evaluator.rollout.backend import Backend, PolicyProcess
 from evaluator.run.plan import shards
-from evaluator.sim.reference import reference_pinch, tool_steps
+from evaluator.sim.reference import reference_step
 from evaluator.sim.simulator import Simulator
 from evaluator.sim.spawn import draw_episode, draw_step
 from rema_data.errors import InfrastructureError, PolicyFailureError
-from rema_data.schema import TASKS, Embodiment, Grip, Pinch, Placement, Scenario, Situation, StepOutcome
+from rema_data.schema import Grip, Pinch, Placement, Scenario, Situation, StepOutcome, pinch_step, tool_steps
 
 __all__ = ["Picked", "draw_picked"]
 
@@ -101,10 +101,11 @@ def draw_picked(
         for step in tool_steps(task):
             if failed := _failed(waiting, partial(_pick, task, step, policy, engine, backend), task, step):
                 raise _cannot(task, step, failed[0], "draw the lists with a policy that can pick tools")
-        if TASKS[task][-1].embodiment is not Embodiment.PINCHED:
+        pinched = pinch_step(task)
+        if pinched is None:
             return drawn
-        step = len(TASKS[task]) - 2
-        waiting = _failed(waiting, partial(_pinch, step, pool), task, step)
+        step = pinched
+        waiting = _failed(waiting, partial(_pinch, task, step, pool), task, step)
         if not waiting:
             return drawn
         for one in waiting:  # its tools lie so in the hands that nothing can be held between them
@@ -181,16 +182,18 @@ def _ask(
 _simulator: Simulator | None = None
 
 
-def _pinch_one(placement: Placement, grips: tuple[Grip, ...], rng: np.random.Generator) -> Pinch | None:
+def _pinch_one(situation: Situation, rng: np.random.Generator) -> Pinch | None:
     """In a worker of the pool."""
     global _simulator
     if _simulator is None:
         _simulator = Simulator()
-    return reference_pinch(_simulator, placement, grips, rng)
+    outcome = reference_step(_simulator, situation, rng)
+    return None if outcome is None else outcome.pinch
 
 
-def _pinch(step: int, pool: Executor, some: list[Picked]) -> list[bool]:
-    columns = ([one.placements[step] for one in some], [one.grips for one in some], [one.rng for one in some])
-    for one, pinch in zip(some, pool.map(_pinch_one, *columns, chunksize=25), strict=True):
+def _pinch(task: str, step: int, pool: Executor, some: list[Picked]) -> list[bool]:
+    situations = [Situation(task, step, one.placements[step], one.grips) for one in some]
+    pinches = pool.map(_pinch_one, situations, [one.rng for one in some], chunksize=25)
+    for one, pinch in zip(some, pinches, strict=True):
         one.pinch = pinch
     return [one.pinch is not None for one in some]

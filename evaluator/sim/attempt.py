@@ -2,33 +2,33 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 from evaluator.sim.motion import JointPath
 from evaluator.sim.parameters import WorldParameters
-from evaluator.sim.world import Arm, World
-from rema_data.schema import Failure, Grip, Situation
+from rema_data.schema import Evidence, Failure, Grip, Pinch, Situation
+
+if TYPE_CHECKING:  # the maps of a kind of step are painted without PyBullet
+    from evaluator.sim.world import Arm, World
+
+POLL_EVERY = 4
+"""Simulation steps between two looks at the target."""
+CLEAR_M = 0.002
+"""Footprints farther apart than this can't touch during a straight descent."""
+CLEAR_TOOL_M = 0.005
+"""As ``CLEAR_M``, for a held tool, which may shift a little in the hand before it touches anything."""
 
 
-class Ended(Exception):
+class AttemptFailed(Exception):
     """Ends an attempt with its failure label; caught by the simulator, never seen by a caller."""
 
     def __init__(self, failure: Failure) -> None:
         super().__init__(failure)
         self.failure = failure
-
-
-@dataclass(slots=True)
-class Evidence:
-    """What was observed during an attempt; becomes part of the StepOutcome."""
-
-    displacement_m: float = 0.0
-    lift_m: float = 0.0
-    peak_force_n: float = 0.0
-    contact_steps: int = 0
-    illegal_steps: int = 0
 
 
 @dataclass(slots=True)
@@ -53,6 +53,8 @@ class Attempt:
         Body of the object of this step.
     allowed, forbidden : tuple of int
         Bodies that may, and that must not, touch the target.
+    evidence : Evidence
+        What was measured so far.
     """
 
     world: World
@@ -68,6 +70,28 @@ class Attempt:
         """Constants of the world."""
         return self.world.parameters
 
+    @property
+    def tick_s(self) -> float:
+        """Time between two joint targets."""
+        return self.parameters.time_step_s * self.parameters.control_every
+
+    def note(self, **measured: Any) -> None:
+        """Replace fields of the evidence."""
+        self.evidence = dataclasses.replace(self.evidence, **measured)
+
+    def note_lift(self, rest_z_m: float) -> float:
+        """Measure how far the target's centre of mass is above its height at rest now, m."""
+        height: float = self.world.pose(self.target)[2] - rest_z_m
+        if height > self.evidence.lift_m:
+            self.note(lift_m=height)
+        return height
+
+    def too_much(self, force_n: float) -> bool:
+        """Measure the force of a descent, and say whether it calls for the protective stop."""
+        if force_n > self.evidence.peak_force_n:
+            self.note(peak_force_n=force_n)
+        return force_n > self.parameters.stop_force_n
+
     def step(self, count: int = 1) -> None:
         """Advance, watching for forbidden contacts after every simulation step."""
         world = self.world
@@ -76,23 +100,27 @@ class Attempt:
             return
         for _ in range(count):
             world.step()
-            for body in self.forbidden:
-                if world.touching(body, self.target):
-                    self.evidence.illegal_steps += 1
-                    raise Ended(Failure.ILLEGAL_CONTACT)
+            self.check_forbidden()
+
+    def check_forbidden(self) -> None:
+        """End the attempt if a body that must not touch the target touches it."""
+        for body in self.forbidden:
+            if self.world.touching(body, self.target):
+                self.note(illegal_steps=self.evidence.illegal_steps + 1)
+                raise AttemptFailed(Failure.ILLEGAL_CONTACT)
 
     def touched(self) -> bool:
         """Whether an allowed body presses on the target now; counted as evidence."""
         touching = any(self.world.touching(body, self.target) for body in self.allowed)
-        self.evidence.contact_steps += touching
+        if touching:
+            self.note(contact_steps=self.evidence.contact_steps + 1)
         return touching
 
     def follow(self, paths: Sequence[JointPath]) -> None:
         """Move every hand along its path, one row a control tick, in step with each other."""
-        every = self.parameters.control_every
         for tick in range(len(paths[0].velocities)):
             self.command(paths, tick)
-            self.step(every)
+            self.step(self.parameters.control_every)
 
     def command(self, paths: Sequence[JointPath], tick: int) -> None:
         """Set every hand's joint targets for one control tick."""
@@ -107,14 +135,10 @@ class Attempt:
             self.command(paths, tick)
             for _ in range(self.parameters.control_every):
                 self.world.step()
-                force = sum(self.world.force(body, self.target) for body in bodies)
-                self.evidence.peak_force_n = max(self.evidence.peak_force_n, force)
-                if force > self.parameters.stop_force_n:
-                    self.evidence.contact_steps += 1
-                    raise Ended(Failure.BLOCKED)
-                if any(self.world.touching(body, self.target) for body in self.forbidden):
-                    self.evidence.illegal_steps += 1
-                    raise Ended(Failure.ILLEGAL_CONTACT)
+                if self.too_much(sum(self.world.force(body, self.target) for body in bodies)):
+                    self.note(contact_steps=self.evidence.contact_steps + 1)
+                    raise AttemptFailed(Failure.BLOCKED)
+                self.check_forbidden()
 
     def grip_in_hand(self, hand: Hand) -> tuple[float, float, float, float]:
         """Pose of the held tool in the hand frame: x, y, z (m), yaw (rad)."""
@@ -123,15 +147,16 @@ class Attempt:
 
     def tools_held(self) -> bool:
         """Whether every tool is still where it was in its hand, within the tolerance of the protocol."""
-        p = self.parameters
-        for hand in self.hands:
-            if hand.tool is None or hand.grip is None:
-                continue
-            x, y, z, yaw = self.grip_in_hand(hand)
-            slip = math.dist((x, y, z), (hand.grip.x_m, hand.grip.y_m, hand.grip.z_m))
-            if slip > p.max_tool_slip_m or abs(wrap(yaw - hand.grip.yaw_rad)) > p.max_tool_turn_rad:
-                return False
-        return True
+        return all(
+            hand.tool is None or hand.grip is None or self.unmoved(self.grip_in_hand(hand), hand.grip)
+            for hand in self.hands
+        )
+
+    def unmoved(self, pose: tuple[float, float, float, float], held: Grip | Pinch) -> bool:
+        """Whether a pose (x, y, z, yaw) is still that at which something was held, within the same tolerance."""
+        slip = math.dist(pose[:3], (held.x_m, held.y_m, held.z_m))
+        turned = abs(wrap(pose[3] - held.yaw_rad))
+        return not (slip > self.parameters.max_tool_slip_m or turned > self.parameters.max_tool_turn_rad)
 
 
 def relative(

@@ -1,4 +1,4 @@
-"""Footprints of hands, held tools and pairs of them, seen from above: pure geometry shared by primitives and maps."""
+"""Footprints of hands and held tools, seen from above: pure geometry shared by attempts and maps."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from evaluator.sim.parameters import WorldParameters
 from evaluator.sim.planar import Rect, gap
-from evaluator.sim.shapes import boxes, footprint, held_footprint
-from rema_data.schema import Grip, Pinch, Situation
+from evaluator.sim.shapes import footprint, held_footprint
+from rema_data.schema import Grip, Situation
 
 SIDES = (1.0, -1.0)
 """Left hand along +x of the pair frame, right hand along -x."""
@@ -52,7 +52,7 @@ def hand_footprints(grips: tuple[Grip, ...], distances: tuple[float, float], p: 
     """Footprints in the pair frame: fingers and stick of the left hand, then of the right hand."""
     result = []
     for grip, distance, side, turn in zip(grips, distances, SIDES, HAND_TURNS, strict=True):
-        parts = (*finger_footprint(grip.opening_m, p), *held_footprint(grip))
+        parts = hand_footprint(grip.opening_m, grip, p)
         result.append([rect.moved(side * distance, 0.0, turn) for rect in parts])
     return result
 
@@ -61,21 +61,3 @@ def pair_heights(grips: tuple[Grip, ...], clearance_m: float) -> tuple[float, fl
     """Heights of the two tool centre points that put each hand's lowest point ``clearance_m`` above the way's z."""
     left, right = (clearance_m - lowest_point(grip) for grip in grips)
     return left, right
-
-
-def pinched_footprint(grips: tuple[Grip, ...], pinch: Pinch, parameters: WorldParameters) -> tuple[Rect, ...]:
-    """Footprint in the pair frame of everything that moves in a push with a pinched object."""
-    hands = hand_footprints(grips, (pinch.left_m, pinch.right_m), parameters)
-    held = (box.moved(pinch.x_m, pinch.y_m, pinch.yaw_rad) for box in boxes(pinch.spec))
-    return (*hands[0], *hands[1], *held)
-
-
-def pinched_heights(grips: tuple[Grip, ...], pinch: Pinch, p: WorldParameters) -> tuple[float, float]:
-    """Heights of both tool centre points above the table while a pinched object pushes.
-
-    The hands keep the heights they pinched at; the whole is lowered until its lowest point is at the clearance.
-    """
-    heights = pair_heights(grips, p.pair_clearance_m)
-    bottom = min(min(heights) + pinch.z_m - pinch.spec.height_m / 2, p.pair_clearance_m)
-    shift = p.pinched_clearance_m - bottom
-    return heights[0] + shift, heights[1] + shift

@@ -1,42 +1,29 @@
 """What a policy sees: height maps painted directly from the known geometry.
 
-The same maps come from cameras (``cameras.py``: one view of the scene, four fused views of the end effector); painting
-them from the boxes is exact, thousands of times cheaper, and repeats bit for bit. No PyBullet here: the judge observes
-without a simulator alive.
+Cameras would show the same (the tests compare with one view of the scene and four fused views of the end effector);
+painting from the boxes is exact, thousands of times cheaper, and repeats bit for bit. No PyBullet here: the evaluator
+observes without a simulator alive.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
-from evaluator.sim.footprints import (
-    finger_footprint,
-    hand_footprints,
-    inner_extents,
-    pair_heights,
-    pinched_heights,
-)
+from evaluator.sim.kinds import kind_of
 from evaluator.sim.parameters import WORLD, WorldParameters
-from evaluator.sim.planar import Rect, paint
-from evaluator.sim.shapes import boxes, footprint, held_footprint
+from evaluator.sim.planar import paint
+from evaluator.sim.shapes import footprint
+from evaluator.sim.staging import Part
 from rema_data.grid import EE_HALF_M, EE_PIXELS, SCENE_HALF_M, SCENE_PIXELS
-from rema_data.schema import HEIGHT_STEP_M, Embodiment, Observation, Primitive, Situation
+from rema_data.schema import HEIGHT_STEP_M, Observation, Situation
+
+__all__ = ["SLAB_M", "end_effector_states", "observe", "paint_parts"]
 
 SLAB_M = 0.05
 """Height of the end-effector map's bounds (paper, Table 1): what is higher than this above the lowest allowed point is
 cut off, so a finger shows as a full 0.05 m."""
-
-
-class Part(NamedTuple):
-    """A box of the end effector in the map's frame: footprint, bottom and top (m, one common zero), may it touch."""
-
-    rect: Rect
-    bottom_m: float
-    top_m: float
-    allowed: bool
 
 
 def observe(situation: Situation, parameters: WorldParameters = WORLD) -> Observation:
@@ -85,53 +72,6 @@ def paint_parts(parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:
 
 def end_effector_states(situation: Situation, p: WorldParameters = WORLD) -> tuple[list[Part], list[Part]]:
     """The boxes of the end effector in its two states (start, end); the same list twice where nothing closes."""
-    kind, grips = situation.kind, situation.grips
-    if kind.embodiment is Embodiment.GRIPPER:
-        closed = _fingers(finger_footprint(0.0, p), 0.0, True, p)
-        if kind.primitive is Primitive.PUSH:
-            return closed, closed
-        return _fingers(finger_footprint(p.opening_max_m, p), 0.0, True, p), closed
-    if kind.embodiment is Embodiment.TOOL:
-        (grip,) = grips
-        bottom = grip.z_m - grip.spec.height_m / 2
-        tool = [Part(rect, bottom, bottom + grip.spec.height_m, True) for rect in held_footprint(grip)]
-        parts = _fingers(finger_footprint(grip.opening_m, p), 0.0, False, p) + tool
-        return parts, parts
-    if kind.embodiment is Embodiment.STICKS:
-        left, right = inner_extents(grips)
-        heights = pair_heights(grips, p.pair_clearance_m)
-        opened = _pair(situation, (left + p.pair_open_m, right + p.pair_open_m), heights, True, p)
-        return opened, _pair(situation, (left, right), heights, True, p)
-    pinch = situation.pinch
-    assert pinch is not None
-    heights = pinched_heights(grips, pinch, p)
-    parts = _pair(situation, (pinch.left_m, pinch.right_m), heights, False, p)
-    bottom = min(heights) + pinch.z_m - pinch.spec.height_m / 2
-    parts += [
-        Part(box.moved(pinch.x_m, pinch.y_m, pinch.yaw_rad), bottom, bottom + pinch.spec.height_m, True)
-        for box in boxes(pinch.spec)
-    ]
-    return parts, parts
-
-
-def _fingers(rects: Sequence[Rect], tip_m: float, allowed: bool, p: WorldParameters) -> list[Part]:
-    return [Part(rect, tip_m, tip_m + p.finger_length_m, allowed) for rect in rects]
-
-
-def _pair(
-    situation: Situation,
-    distances: tuple[float, float],
-    heights: tuple[float, float],
-    sticks_allowed: bool,
-    p: WorldParameters,
-) -> list[Part]:
-    parts: list[Part] = []
-    hands = hand_footprints(situation.grips, distances, p)
-    for grip, rects, tip in zip(situation.grips, hands, heights, strict=True):
-        bottom = tip + grip.z_m - grip.spec.height_m / 2
-        parts += _fingers(rects[:2], tip, False, p)
-        parts += [Part(rect, bottom, bottom + grip.spec.height_m, sticks_allowed) for rect in rects[2:]]
-    return parts
-
-
-__all__ = ["SLAB_M", "Part", "end_effector_states", "observe", "paint_parts"]
+    kind = kind_of(situation)
+    start = kind.parts(situation, False, p)
+    return start, kind.parts(situation, True, p) if kind.closes else start

@@ -38,6 +38,13 @@ class Rect(NamedTuple):
         return centre - reach, centre + reach
 
 
+def swept(rect: Rect, way_m: float) -> Rect:
+    """A rectangle along the axes that covers ``rect`` on its way along x."""
+    (x_low, x_high), (y_low, y_high) = rect.extent(0.0), rect.extent(math.pi / 2)
+    x_low, x_high = x_low + min(0.0, way_m), x_high + max(0.0, way_m)
+    return Rect((x_low + x_high) / 2, (y_low + y_high) / 2, 0.0, (x_high - x_low) / 2, (y_high - y_low) / 2)
+
+
 def separation(a: Rect, b: Rect) -> float:
     """A lower bound of the distance between two rectangles; negative where they overlap (separating axes)."""
     dx, dy = b.x - a.x, b.y - a.y

@@ -1,4 +1,4 @@
-"""One generated URDF per arm: an iiwa 7 with a WSG-50, mesh-free for physics, or with meshes to look at.
+"""One generated URDF for both arms: an iiwa 7 with a WSG-50, for physics alone (``evaluator.render.arms`` dresses it).
 
 Joint frames, masses and inertias are those of the iiwa description that ships with PyBullet. The hand is part of link
 7, so that nothing between arm and jaws can give way; collision geometry is what can touch something: palm and fingers.
@@ -42,26 +42,20 @@ FLANGE_M = 0.045
 """From the frame of link 7 to the mounting face of the gripper."""
 
 
-def urdf(parameters: WorldParameters = WORLD, meshes: str | None = None) -> str:
-    """URDF text of one arm.
-
-    Parameters
-    ----------
-    parameters : WorldParameters
-    meshes : str, optional
-        Folder of pybullet_data: adds the arm's visual meshes. Physics is the same with and without.
-    """
-    parts = ['<?xml version="1.0"?>', '<robot name="iiwa7_wsg50">', _base(meshes)]
+def urdf(parameters: WorldParameters = WORLD) -> str:
+    """URDF text of one arm."""
+    base = '<inertial><mass value="0"/><inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial>'
+    parts = ['<?xml version="1.0"?>', '<robot name="iiwa7_wsg50">', f'<link name="base">{base}</link>']
     for number, link in enumerate(_LINKS, 1):
         ixx, iyy, izz = link.inertia
         palm = ""
         if number == 7:
             centre = f"0 0 {FLANGE_M + PALM_SIZE_M[2] / 2}"
-            palm = _box("collision", centre, PALM_SIZE_M) + _box("visual", centre, PALM_SIZE_M, "0.75 0.75 0.78 1")
+            palm = _box(centre, PALM_SIZE_M)
         parts.append(
             f'<link name="link{number}"><inertial><origin xyz="{link.centre}"/><mass value="{link.mass}"/>'
             f'<inertia ixx="{ixx}" ixy="0" ixz="0" iyy="{iyy}" iyz="0" izz="{izz}"/></inertial>'
-            f"{_visual(meshes, number)}{palm}</link>"
+            f"{palm}</link>"
         )
         parent = "base" if number == 1 else f"link{number - 1}"
         parts.append(
@@ -79,7 +73,7 @@ def urdf(parameters: WorldParameters = WORLD, meshes: str | None = None) -> str:
         parts.append(
             f'<link name="{name}"><inertial><origin xyz="{centre}"/><mass value="{parameters.finger_mass_kg}"/>'
             f'<inertia ixx="5e-5" ixy="0" ixz="0" iyy="5e-5" iyz="0" izz="2e-5"/></inertial>'
-            f"{_box('collision', centre, size)}{_box('visual', centre, size, '0.25 0.25 0.28 1')}</link>"
+            f"{_box(centre, size)}</link>"
             f'<joint name="{name}_joint" type="prismatic"><parent link="link7"/><child link="{name}"/>'
             f'<origin xyz="0 0 {height}"/><axis xyz="0 {sign} 0"/>'
             f'<limit lower="0" upper="{parameters.opening_max_m / 2 + 0.002}" effort="200" velocity="2"/></joint>'
@@ -88,33 +82,15 @@ def urdf(parameters: WorldParameters = WORLD, meshes: str | None = None) -> str:
     return "\n".join(parts)
 
 
-def _base(meshes: str | None) -> str:
-    inertial = '<inertial><mass value="0"/><inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial>'
-    return f'<link name="base">{inertial}{_visual(meshes, 0)}</link>'
-
-
-def _visual(meshes: str | None, number: int) -> str:
-    if meshes is None:
-        return ""
-    colour = "0.95 0.55 0.15 1" if number in (0, 3, 5) else "0.62 0.65 0.68 1"
-    return (
-        f'<visual><geometry><mesh filename="{meshes}/kuka_iiwa/meshes/link_{number}.obj"/></geometry>'
-        f'<material name="m{number}"><color rgba="{colour}"/></material></visual>'
-    )
-
-
-def _box(kind: str, centre: str, size: tuple[float, float, float], colour: str = "") -> str:
+def _box(centre: str, size: tuple[float, float, float]) -> str:
     extents = " ".join(str(value) for value in size)
-    paint = f'<material name="{colour}"><color rgba="{colour}"/></material>' if colour else ""
-    return f'<{kind}><origin xyz="{centre}"/><geometry><box size="{extents}"/></geometry>{paint}</{kind}>'
+    return f'<collision><origin xyz="{centre}"/><geometry><box size="{extents}"/></geometry></collision>'
 
 
 @lru_cache(maxsize=8)
-def urdf_file(
-    parameters: WorldParameters = WORLD, meshes: str | None = None
-) -> tuple[str, tempfile.TemporaryDirectory[str]]:
+def urdf_file(text: str) -> tuple[str, tempfile.TemporaryDirectory[str]]:
     """The URDF as a file that lives as long as the process: its path, and the folder that keeps it."""
     folder = tempfile.TemporaryDirectory(prefix="rema-urdf-")
     path = Path(folder.name) / "iiwa7_wsg50.urdf"
-    path.write_text(urdf(parameters, meshes))
+    path.write_text(text)
     return str(path), folder

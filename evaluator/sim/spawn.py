@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from evaluator.sim.kinds import KINDS
 from evaluator.sim.parameters import WORLD, WorldParameters
-from rema_data.schema import TASKS, Embodiment, ObjectSpec, Placement, Primitive, Shape, StepKind
+from rema_data.schema import TASK_NUMBERS, TASKS, ObjectSpec, Placement, Shape, StepKind, tool_steps
 
 
 def episode_generator(root: int, domain: str, task: str, episode: int) -> np.random.Generator:
@@ -20,7 +21,7 @@ def episode_generator(root: int, domain: str, task: str, episode: int) -> np.ran
     task : str
     episode : int
     """
-    key = (_DOMAINS[domain], list(TASKS).index(task), episode)
+    key = (_DOMAINS[domain], TASK_NUMBERS[task], episode)
     return np.random.default_rng(np.random.SeedSequence(root, spawn_key=key))
 
 
@@ -39,7 +40,7 @@ def collection_generator(root: int, round_: int, task: str, split: str, episode:
     episode : int
         Position in its (round, task, split), from 0.
     """
-    key = (_DOMAINS["collect"], list(TASKS).index(task), round_, _SPLITS[split], episode)
+    key = (_DOMAINS["collect"], TASK_NUMBERS[task], round_, _SPLITS[split], episode)
     return np.random.default_rng(np.random.SeedSequence(root, spawn_key=key))
 
 
@@ -59,21 +60,17 @@ def draw_spec(rng: np.random.Generator, stick: bool, parameters: WorldParameters
 
 
 def draw_placement(rng: np.random.Generator, kind: StepKind, stick: bool, p: WorldParameters = WORLD) -> Placement:
-    """A random object at a random place for a step: pushed ones start further to +x, with room behind them."""
+    """A random object at a random place for a step."""
     spec = draw_spec(rng, stick, p)
-    if kind.primitive is Primitive.PUSH:
-        x = float(rng.uniform(p.push_spawn_x_min_m, p.push_spawn_x_max_m))
-        y = float(rng.uniform(-p.push_spawn_half_y_m, p.push_spawn_half_y_m))
-    else:
-        x, y = (float(value) for value in rng.uniform(-p.grasp_spawn_half_m, p.grasp_spawn_half_m, 2))
+    x, y = KINDS[kind].spawn(rng, p)
     return Placement(spec, x, y, float(rng.uniform(0, 2 * np.pi)))
 
 
 def draw_step(rng: np.random.Generator, task: str, step: int, parameters: WorldParameters = WORLD) -> Placement:
     """A random object for one step of a task: a stick where two arms will need one as a tool."""
     steps = TASKS[task]
-    two_arms = any(kind.embodiment.two_arms for kind in steps)
-    return draw_placement(rng, steps[step], two_arms and steps[step].embodiment is Embodiment.GRIPPER, parameters)
+    stick = step in tool_steps(task) and any(kind.embodiment.two_arms for kind in steps)
+    return draw_placement(rng, steps[step], stick, parameters)
 
 
 def draw_episode(rng: np.random.Generator, task: str, parameters: WorldParameters = WORLD) -> tuple[Placement, ...]:

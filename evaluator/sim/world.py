@@ -3,7 +3,7 @@
 The whole world is rebuilt at the start of each step, in a fixed order, so that what follows is a pure function of what
 is placed: joints, motors, objects. Anything less leaks history: with only the objects replaced, the order of Bullet's
 collision pairs depends on what was there before, and now and then the last bits of an outcome, or its label, with it.
-Without meshes a rebuild is cheap.
+Arms without pictures make a rebuild cheap.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from evaluator.sim import robots
 from evaluator.sim.kinematics import base_of
 from evaluator.sim.parameters import WORLD, WorldParameters
 from evaluator.sim.shapes import boxes, inertia_kg_m2, mass_kg
+from evaluator.sim.staging import Thing
 from rema_data.schema import ObjectSpec
 
 Array = npt.NDArray[Any]
@@ -56,7 +57,7 @@ class Arm:
         self._p, self._parameters = world.client, world.parameters
         self.name = name
         self.base = base_of(name, world.parameters)
-        path, _ = robots.urdf_file(world.parameters, world.meshes)
+        path, _ = robots.urdf_file(world.urdf)
         self.body: int = self._p.loadURDF(
             path,
             [self.base.x_m, self.base.y_m, self.base.z_m],
@@ -150,19 +151,20 @@ class World:
     arms : sequence of str
         Arms to load: ``left``, ``right`` or both. An arm that does not act is left out: it would only cost time.
     parameters : WorldParameters
-    meshes : str, optional
-        pybullet_data folder, for arms that are looked at.
+    urdf : str, optional
+        URDF text of the arms; that of ``robots.urdf`` by default.
     """
 
-    def __init__(self, arms: Sequence[str], parameters: WorldParameters = WORLD, meshes: str | None = None) -> None:
-        self.parameters, self.meshes = parameters, meshes
+    def __init__(self, arms: Sequence[str], parameters: WorldParameters = WORLD, urdf: str | None = None) -> None:
+        self.parameters = parameters
+        self.urdf = robots.urdf(parameters) if urdf is None else urdf
         self.client = Client()
         self._step = self.client.stepSimulation
         self.arms: dict[str, Arm] = {}
         self.begin(arms)
 
     def begin(self, arms: Sequence[str] | None = None) -> None:
-        """Build everything anew: an empty table, and arms for the caller to reset.
+        """Build everything again: an empty table, and arms for the caller to reset.
 
         Parameters
         ----------
@@ -214,6 +216,10 @@ class World:
             localInertiaDiagonal=inertia_kg_m2(spec, parameters.density_kg_m3),
         )
         return body
+
+    def put(self, thing: Thing) -> int:
+        """Place a thing where it is staged; returns its body id."""
+        return self.place(*thing[1:])
 
     @property
     def objects(self) -> tuple[int, ...]:

@@ -319,9 +319,7 @@ def share_repeats(index: Index, categories: Categories, maps: MapArrays) -> None
 
     Within a block equal maps are stored once; across blocks it is the bare gripper's that repeat.
     """
-    gripper = Embodiment.GRIPPER.value
-    code = categories["embodiment"].index(gripper) if gripper in categories["embodiment"] else -1
-    bare = index["embodiment"] == code
+    bare = np.isin(index["embodiment"], [n for n, name in enumerate(categories["embodiment"]) if Embodiment(name).bare])
     first: dict[bytes, int] = {}
     target = {}
     for row in np.unique(index["ee_row"][bare]).tolist():

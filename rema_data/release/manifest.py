@@ -19,7 +19,7 @@ from typing import Any
 from rema_data.errors import InputError, IntegrityError, RemaError
 from rema_data.heights import HEIGHT_ERROR_M, HEIGHT_OFFSET_M, MISSING
 from rema_data.release.fields import check_day, check_order, check_path, record
-from rema_data.schema import HEIGHT_STEP_M, SCHEMA_VERSION, TASKS
+from rema_data.schema import HEIGHT_STEP_M, SCHEMA_VERSION, TASK_NUMBERS, TASKS
 from rema_data.store.keys import BlockKey
 
 __all__ = ["FORMAT", "MANIFEST", "BlockEntry", "FileEntry", "Manifest", "Parent", "check_name", "parse_manifest"]
@@ -343,7 +343,7 @@ def _checked(content: dict[str, Any]) -> Manifest:
             raise ValueError(f"{file.path} does not lie where its block does")
     if {file.block for file in files} - {None} != set(holders):
         raise ValueError("a block has no files")
-    check_order("blocks", [(block.round, list(TASKS).index(block.task), block.split) for block in blocks])
+    check_order("blocks", [(block.round, TASK_NUMBERS[block.task], block.split) for block in blocks])
     check_order("files", [file.location for file in files])
     if content["heights"] != ENCODING:
         raise ValueError(f"heights are stored in an unknown way: {content['heights']}")

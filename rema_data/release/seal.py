@@ -19,7 +19,7 @@ from rema_data.errors import InputError, RunMismatchError
 from rema_data.release.card import write_card
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, BlockEntry, FileEntry, Manifest, Parent, check_name, parse_manifest
-from rema_data.schema import TASKS
+from rema_data.schema import TASK_NUMBERS, TASKS
 from rema_data.storage import storage_errors, sync_folder, write_atomic
 from rema_data.store.block import BlockKey, BlockReader
 
@@ -125,7 +125,7 @@ def seal(
     if twice or any(key not in old for key in reused):
         raise InputError("a block is listed twice, or is not in the parent release", hint="mend the plan's rounds")
     blocks = [old[key] for key in reused] + [describe_block(staging / key.path, key, about.name) for key in keys]
-    blocks.sort(key=lambda block: (block.round, list(TASKS).index(block.task), block.split))
+    blocks.sort(key=lambda block: (block.round, TASK_NUMBERS[block.task], block.split))
     kept = {block.key.path for block in blocks if block.key in set(reused)}
     shared = [] if parent is None else [file for file in parent.files if file.block in kept]
     draft = Manifest(

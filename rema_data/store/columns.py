@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import pyarrow as pa
 
-from rema_data.schema import SCHEMA_VERSION
+from rema_data.schema import SCHEMA_VERSION, Evidence
 
 __all__ = ["EPISODE_COLUMNS", "STEP_COLUMNS", "Column", "arrow_schema"]
 
@@ -68,6 +68,9 @@ def _pinch() -> Iterator[Column]:
     yield Column("pinch_right_m", "float64", "distance of the right hand from the pair's origin", "m", "pair", True)
 
 
+_EVIDENCE_TYPES = {"str": "string", "float": "float64", "int": "int32"}
+_ARM, *_MEASURED = (Column(item.name, _EVIDENCE_TYPES[str(item.type)], **item.metadata) for item in fields(Evidence))
+
 _PLACE = (
     Column("task", "string", "task of the episode"),
     Column("round", "int16", "collection round, from 1"),
@@ -102,15 +105,10 @@ STEP_COLUMNS: tuple[Column, ...] = (
     Column("x_m", "float64", "x of the action", "m", "world"),
     Column("y_m", "float64", "y of the action", "m", "world"),
     Column("theta_rad", "float64", "yaw of the action", "rad", "world"),
-    Column("arm", "string", "left, right, both, or none where nothing had to be simulated"),
+    _ARM,
     Column("success", "bool", "the step succeeded"),
     Column("failure", "string", "why it failed, null after a success", nullable=True),
-    Column("displacement_m", "float64", "of the target's centre of mass in +x, at rest", "m", "world"),
-    Column("lift_m", "float64", "highest rise of the target's centre of mass", "m", "world"),
-    Column("peak_force_n", "float64", "largest normal force on the hand or tool during the descent", "N"),
-    Column("contact_steps", "int32", "simulation steps in which an allowed body touched the target"),
-    Column("illegal_steps", "int32", "simulation steps in which a forbidden body touched the target"),
-    Column("sim_steps", "int32", "simulation steps taken"),
+    *_MEASURED,
     *_spec("target", "the target", nullable=False),
     *_pose("target", "the target", "world", height=False, nullable=False),
     *_tool(0),

@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 
 from rema_data.errors import IntegrityError, MissingFileError
 from rema_data.schema import (
+    EVIDENCE,
     Action,
     Episode,
     Failure,
@@ -40,7 +41,6 @@ __all__ = [
     "to_parquet",
 ]
 
-_EVIDENCE = ("arm", "displacement_m", "lift_m", "peak_force_n", "contact_steps", "illegal_steps", "sim_steps")
 _SPEC = tuple(field.name for field in dataclasses.fields(ObjectSpec))
 
 
@@ -90,7 +90,7 @@ def step_row(episode: Episode, step: Step, scene_row: int, ee_row: int) -> dict[
         "scene_row": scene_row,
         "ee_row": ee_row,
     }
-    row.update((name, getattr(outcome, name)) for name in _EVIDENCE)
+    row.update(outcome.evidence())
     parts: dict[str, Placement | Grip | Pinch | None] = {"target": situation.target, "pinch": situation.pinch}
     parts.update((f"tool{n}", grip) for n, grip in enumerate(situation.grips))
     for prefix, part in parts.items():
@@ -125,7 +125,7 @@ def situation_of(row: Mapping[str, Any]) -> Situation:
 def outcome_of(row: Mapping[str, Any]) -> StepOutcome:
     """What came of the step of a row. What it left in the hand stands in the row of the next step."""
     failure = None if row["failure"] is None else Failure(row["failure"])
-    return StepOutcome(bool(row["success"]), failure, *(row[name] for name in _EVIDENCE))
+    return StepOutcome(bool(row["success"]), failure, **{name: row[name] for name in EVIDENCE})
 
 
 def action_of(row: Mapping[str, Any]) -> Action:

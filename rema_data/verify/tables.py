@@ -16,7 +16,7 @@ import pyarrow.compute as pc
 
 from rema_data import grid
 from rema_data.release.manifest import BlockEntry
-from rema_data.schema import TASKS, Embodiment, Failure, Primitive, Shape, StepKind, skill
+from rema_data.schema import TASKS, Embodiment, Failure, Primitive, Shape, StepKind, pinch_step, skill, tool_steps
 from rema_data.store.block import EPISODES, STEPS
 from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, Column
 from rema_data.verify.rows import rows_of
@@ -295,12 +295,11 @@ class _Check:
 
     def tools(self) -> None:
         """Tools are there exactly where they were picked, are what was picked, and stay as they are."""
-        picks = [n for n, kind in enumerate(self.kinds[:-1]) if kind.primitive is Primitive.GRASP]
-        bare = [n for n in picks if self.kinds[n].embodiment is Embodiment.GRIPPER]
-        pinches = [n for n in picks if self.kinds[n].embodiment is Embodiment.STICKS]
-        for part, made in (("tool0", bare[:1]), ("tool1", bare[1:2]), ("pinch", pinches[:1])):
+        made = dict(zip(_TOOLS, tool_steps(self.entry.task), strict=False)) | {"pinch": pinch_step(self.entry.task)}
+        for part in (*_TOOLS, "pinch"):
             columns = [column.name for column in STEP_COLUMNS if column.name.startswith(f"{part}_")]
-            after = made[0] if made else len(self.kinds)
+            step = made.get(part)
+            after = len(self.kinds) if step is None else step
             held = self.position > after
             there = np.array([~_null(self.steps, name) for name in columns])
             self.flag("tools", STEPS, held & ~there.all(axis=0), f"{part} is missing")

@@ -63,12 +63,23 @@ class FakeSimulator:
         number = _number(f"{situation!r} {action}")
         picks = situation.kind.primitive is Primitive.GRASP and not situation.last
         if number % 4 == 0:
-            return StepOutcome(False, Failure.MISSED, "left", 0.0, 0.0, number % 97 / 7, 0, 0, number % 1000)
+            return StepOutcome(False, Failure.MISSED, arm="left", peak_force_n=number % 97 / 7, sim_steps=number % 1000)
         spec = situation.target.spec
         grip = Grip(spec, 0.0, 0.1, 0.01, number % 7 / 3, 0.03) if picks and situation.step < 2 else None
         pinch = Pinch(spec, 0.0, 0.0, 0.01, number % 5 / 3, 0.2, 0.2) if picks and situation.step == 2 else None
         lift_m = np.float64(number % 89 / 13)
-        return StepOutcome(True, None, "left", 0.1, lift_m, number % 97 / 7, 3, 0, number % 1000, grip, pinch)
+        return StepOutcome(
+            True,
+            None,
+            arm="left",
+            displacement_m=0.1,
+            lift_m=lift_m,
+            peak_force_n=number % 97 / 7,
+            contact_steps=3,
+            sim_steps=number % 1000,
+            grip=grip,
+            pinch=pinch,
+        )
 
     def misbehave(self, number: int) -> None:
         faults = self.faults

@@ -143,7 +143,12 @@ def _records(steps: Sequence[int], passed: Sequence[Bools], lost: Bools) -> Reco
         for step, success in zip(steps, passed, strict=True):
             failure = None if success[index] else Failure.MISSED
             outcome: StepOutcome | InfraError = StepOutcome(
-                bool(success[index]), failure, "left", 0.0, 0.3 * bool(success[index]), 0.0, 5, 0, 100
+                bool(success[index]),
+                failure,
+                arm="left",
+                lift_m=0.3 * bool(success[index]),
+                contact_steps=5,
+                sim_steps=100,
             )
             if lost[index]:
                 outcome = InfraError("died", "the worker died")

@@ -65,8 +65,8 @@ def test_outcome_round_trip() -> None:
     grip = Grip(spec, 0.1, 0.2, 0.3, 0.4, 0.5)
     pinch = Pinch(spec, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
     for outcome in (
-        StepOutcome(True, None, "left", 0.1, 0.2, 3.0, 4, 0, 120, grip, None),
-        StepOutcome(True, None, "both", grip=None, pinch=pinch),
+        StepOutcome(True, None, arm="left", displacement_m=0.1, lift_m=0.2, peak_force_n=3.0, sim_steps=120, grip=grip),
+        StepOutcome(True, None, arm="both", pinch=pinch),
         StepOutcome(False, Failure.SLIPPED),
     ):
         assert outcome_from_dict(to_dict(outcome)) == outcome

@@ -50,6 +50,6 @@ def test_an_episode_succeeds_only_at_its_last_step(task: str) -> None:
 
 
 def test_an_outcome_survives_json() -> None:
-    outcome = StepOutcome(False, Failure.SLIPPED, "left", 0.01, 0.2, 3.0, 4, 0, 100)
+    outcome = StepOutcome(False, Failure.SLIPPED, arm="left", displacement_m=0.01, lift_m=0.2, contact_steps=4)
     assert outcome_from_dict(to_dict(outcome)) == outcome
     assert dataclasses.asdict(outcome) == to_dict(outcome)

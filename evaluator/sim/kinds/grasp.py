@@ -2,83 +2,125 @@
 
 from __future__ import annotations
 
-from evaluator.sim.attempt import Attempt, Ended, relative
-from evaluator.sim.footprints import clear_of_target, hand_footprint
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from evaluator.sim.attempt import CLEAR_M, POLL_EVERY, Attempt, AttemptFailed, relative
+from evaluator.sim.footprints import clear_of_target, finger_footprint
+from evaluator.sim.kinds.base import Flags, GraspKind, OneArm
 from evaluator.sim.motion import line, profile
 from evaluator.sim.parameters import WorldParameters
 from evaluator.sim.planar import Rect, gap
-from evaluator.sim.shapes import footprint
-from rema_data.schema import Failure, Grip, Situation
+from evaluator.sim.shapes import boxes, footprint
+from evaluator.sim.staging import Pose
+from rema_data import grid
+from rema_data.schema import Embodiment, Failure, Grip, Placement, Primitive, Situation, StepKind
 
-POLL_EVERY = 4
-"""Simulation steps between two looks at the carried object."""
-CLEAR_M = 0.002
-"""Footprints farther apart than this can't touch during a straight descent."""
+__all__ = ["Grasp"]
 
-
-def can_touch(situation: Situation, pose: tuple[float, float, float], parameters: WorldParameters) -> bool:
-    """Whether the hand could touch the target at all: descending open and closing sweep one rectangle."""
-    half_x = parameters.opening_max_m / 2 + parameters.finger_thickness_m
-    swept = Rect(0, 0, 0, half_x, parameters.finger_lateral_m / 2)
-    return gap([swept.moved(*pose)], footprint(situation.target)) <= CLEAR_M
+NEAR_MIDDLE = 0.10
+"""A reference pick aims within this share of a bar's length from the bar's middle, where the shape leaves room."""
+CLEARANCE_M = 0.0015
+"""Room that the descending fingers of a reference pick must have beside the object."""
 
 
-def grasp(attempt: Attempt, pose: tuple[float, float, float]) -> Grip | None:
-    """Carry out a grasp at (x, y, yaw); raises Ended where it fails.
+class Grasp(OneArm, GraspKind):
+    """A grasp with bare fingers. Where it is not the last step of a task, the object becomes a tool."""
 
-    Returns
-    -------
-    Grip or None
-        The object as a tool in the hand, if this step is not the task's last.
-    """
-    p, world, (hand,) = attempt.parameters, attempt.world, attempt.hands
-    x, y, yaw = pose
-    low = p.grasp_height_m
-    tick = p.time_step_s * p.control_every
-    opening = p.opening_max_m
-    start = low
-    if not clear_of_target(attempt.situation, hand_footprint(opening, None, p), pose, CLEAR_M):
-        start = attempt.situation.target.spec.height_m + p.approach_clearance_m
-    lift = profile(p.lift_height_m, p.lift_speed_m_s, tick, p.ramp_share)
-    up = line(hand.arm.base, (x, y, low), (x, y, low + p.lift_height_m), yaw, lift, tick, True, p)
-    if not up.reachable:
-        raise Ended(Failure.UNREACHABLE)
-    if start > low:
-        shares = profile(start - low, p.descend_speed_m_s, tick, p.ramp_share)
-        down = line(hand.arm.base, (x, y, start), (x, y, low), yaw, shares, tick, True, p)
-        hand.arm.reset(down.positions[0], opening)
-        attempt.descend([down])
-    else:
-        hand.arm.reset(up.positions[0], opening)
+    step = StepKind(Primitive.GRASP, Embodiment.GRIPPER)
+    acting, touching = "the gripper", "the fingers"
+    symmetric = True
 
-    close(attempt)
-    if hand.arm.fingers()[0] < p.empty_opening_m:
-        raise Ended(Failure.NOT_LIFTED if attempt.evidence.contact_steps else Failure.MISSED)
+    def opening(self, situation: Situation, closed: bool, p: WorldParameters) -> float:
+        """Wide open before, closed after."""
+        return 0.0 if closed else p.opening_max_m
 
-    rest_z = world.pose(attempt.target)[2]
-    lost = 0
-    for row in range(len(up.velocities)):
-        attempt.command([up], row)
-        attempt.step(p.control_every)
-        if row % (POLL_EVERY // p.control_every) == 0:
-            attempt.evidence.lift_m = max(attempt.evidence.lift_m, world.pose(attempt.target)[2] - rest_z)
-            lost = 0 if attempt.touched() else lost + 1
-            if lost * POLL_EVERY == p.lost_steps:  # out of a rising hand's reach for good
-                raise _dropped(attempt)
-    attempt.step(p.hold_steps)
-    height = world.pose(attempt.target)[2] - rest_z
-    attempt.evidence.lift_m = max(attempt.evidence.lift_m, height)
-    if height < p.grasp_success_lift_m or not attempt.touched():
-        raise _dropped(attempt)
-    if attempt.situation.last:
-        return None
-    if world.tilt(attempt.target) > p.max_tool_tilt_rad:
-        raise Ended(Failure.TOOL_LOST)
-    gx, gy, gz, gyaw = relative(world.pose(attempt.target), hand.arm.hand_pose())
-    return Grip(attempt.situation.target.spec, gx, gy, gz, gyaw, hand.arm.fingers()[0])
+    def reach_heights(self, p: WorldParameters) -> tuple[float, ...]:
+        """Ends of the lift."""
+        return p.grasp_height_m, p.grasp_height_m + p.lift_height_m
+
+    def success_lift_m(self, p: WorldParameters) -> float:
+        """Two thirds of the lift."""
+        return p.grasp_success_lift_m
+
+    def can_touch(self, situation: Situation, pose: Pose, p: WorldParameters) -> bool:
+        """Descending open and closing sweep one rectangle."""
+        half_x = p.opening_max_m / 2 + p.finger_thickness_m
+        swept = Rect(0, 0, 0, half_x, p.finger_lateral_m / 2)
+        return gap([swept.moved(*pose)], footprint(situation.target)) <= CLEAR_M
+
+    def carry_out(self, attempt: Attempt, pose: Pose) -> Grip | None:
+        """Grasp at (x, y, yaw)."""
+        p, world, (hand,) = attempt.parameters, attempt.world, attempt.hands
+        situation, tick = attempt.situation, attempt.tick_s
+        x, y, yaw = pose
+        start = low = p.grasp_height_m
+        if not clear_of_target(situation, self.footprint(situation, p), pose, CLEAR_M):
+            start = self.start_height(situation, p.approach_clearance_m)
+        lift = profile(p.lift_height_m, p.lift_speed_m_s, tick, p.ramp_share)
+        up = line(hand.arm.base, (x, y, low), (x, y, low + p.lift_height_m), yaw, lift, tick, self.symmetric, p)
+        if not up.reachable:
+            raise AttemptFailed(Failure.UNREACHABLE)
+        if start > low:
+            shares = profile(start - low, p.descend_speed_m_s, tick, p.ramp_share)
+            down = line(hand.arm.base, (x, y, start), (x, y, low), yaw, shares, tick, self.symmetric, p)
+            hand.arm.reset(down.positions[0], p.opening_max_m)
+            attempt.descend([down])
+        else:
+            hand.arm.reset(up.positions[0], p.opening_max_m)
+
+        _close(attempt)
+        if hand.arm.fingers()[0] < p.empty_opening_m:
+            raise AttemptFailed(Failure.NOT_LIFTED if attempt.evidence.contact_steps else Failure.MISSED)
+
+        rest_z = world.pose(attempt.target)[2]
+        lost = 0
+        for row in range(len(up.velocities)):
+            attempt.command([up], row)
+            attempt.step(p.control_every)
+            if row % (POLL_EVERY // p.control_every) == 0:
+                attempt.note_lift(rest_z)
+                lost = 0 if attempt.touched() else lost + 1
+                if lost * POLL_EVERY == p.lost_steps:  # out of a rising hand's reach for good
+                    raise _dropped(attempt)
+        attempt.step(p.hold_steps)
+        if attempt.note_lift(rest_z) < p.grasp_success_lift_m or not attempt.touched():
+            raise _dropped(attempt)
+        if situation.last:
+            return None
+        if world.tilt(attempt.target) > p.max_tool_tilt_rad:
+            raise AttemptFailed(Failure.TOOL_LOST)
+        in_hand = relative(world.pose(attempt.target), hand.arm.hand_pose())
+        return Grip(situation.target.spec, *in_hand, hand.arm.fingers()[0])
+
+    def candidates(
+        self, target: Placement, valid: Flags, rng: np.random.Generator, p: WorldParameters
+    ) -> Iterator[int]:
+        """Across a bar, near its middle first, with room for the open fingers on both sides."""
+        aims: list[tuple[float, float, float, float]] = []
+        for bar in boxes(target.spec):
+            placed = bar.moved(target.x_m, target.y_m, target.yaw_rad)
+            along = bar.half_x >= bar.half_y
+            half, axis = (bar.half_x, placed.yaw) if along else (bar.half_y, placed.yaw + math.pi / 2)
+            for offset in (np.linspace(-0.35, 0.35, 15) + rng.uniform(-0.02, 0.02, 15)).tolist():
+                rank, off = abs(offset) + (0.0 if along else 0.3), offset * 2 * half
+                aims.append((rank, placed.x + off * math.cos(axis), placed.y + off * math.sin(axis), axis))
+        near = [aim for aim in aims if aim[0] <= NEAR_MIDDLE]
+        rng.shuffle(near)  # type: ignore[arg-type]
+        rest = sorted(aim for aim in aims if aim[0] > NEAR_MIDDLE)
+        flip = math.pi * int(rng.integers(2))
+        fingers = finger_footprint(p.opening_max_m, p)
+        obstacles = footprint(target)
+        for _, x, y, axis in (*near, *rest):
+            action = int(grid.snap(x, y, (axis + math.pi / 2 + flip) % (2 * math.pi)))
+            px, py, yaw = (float(value) for value in grid.to_world(action))
+            if valid[action] and gap((rect.moved(px, py, yaw) for rect in fingers), obstacles) > CLEARANCE_M:
+                yield action
 
 
-def close(attempt: Attempt) -> None:
+def _close(attempt: Attempt) -> None:
     """Close the jaws until the fingers stand still."""
     p, (hand,) = attempt.parameters, attempt.hands
     hand.arm.close_fingers()
@@ -92,5 +134,6 @@ def close(attempt: Attempt) -> None:
             return
 
 
-def _dropped(attempt: Attempt) -> Ended:
-    return Ended(Failure.SLIPPED if attempt.evidence.lift_m > attempt.parameters.slip_lift_m else Failure.NOT_LIFTED)
+def _dropped(attempt: Attempt) -> AttemptFailed:
+    lifted = attempt.evidence.lift_m > attempt.parameters.slip_lift_m
+    return AttemptFailed(Failure.SLIPPED if lifted else Failure.NOT_LIFTED)

@@ -7,6 +7,7 @@ both hands together or apart by a small correction until the weaker side presses
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -14,11 +15,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.sim.attempt import Attempt, Ended
-from evaluator.sim.footprints import HAND_TURNS, SIDES
+from evaluator.sim.attempt import Attempt, AttemptFailed
+from evaluator.sim.footprints import HAND_TURNS, SIDES, hand_footprints, inner_extents
+from evaluator.sim.kinds.base import Kind, hand_parts
 from evaluator.sim.kinematics import solve_path, within_limits
 from evaluator.sim.motion import JointPath, profile
-from rema_data.schema import Failure
+from evaluator.sim.parameters import WORLD, WorldParameters
+from evaluator.sim.staging import ARMS, HandPose, Part, Pose
+from rema_data.schema import Failure, Situation
+
+__all__ = ["PairPath", "Squeeze", "TwoArms", "command", "pair_frame", "pair_path", "sticks_of"]
 
 Array = npt.NDArray[Any]
 
@@ -49,7 +55,7 @@ class PairPath:
 def pair_path(
     attempt: Attempt, way: Array, theta: float, distances: tuple[Any, Any], heights: tuple[float, float]
 ) -> PairPath:
-    """Joint paths of both arms; raises Ended(UNREACHABLE) outside the joint limits.
+    """Joint paths of both arms; raises AttemptFailed(UNREACHABLE) outside the joint limits.
 
     Parameters
     ----------
@@ -79,12 +85,11 @@ def pair_path(
             for extra in (0.0, _PROBE_M)
         ]
         if not within_limits(both[0], p).all():
-            raise Ended(Failure.UNREACHABLE)
+            raise AttemptFailed(Failure.UNREACHABLE)
         positions.append(both[0])
         outwards.append((both[1] - both[0]) / _PROBE_M)
-    tick = p.time_step_s * p.control_every
     stacked = np.stack(positions)
-    return PairPath(stacked, np.stack(outwards), np.diff(stacked, axis=1) / tick)
+    return PairPath(stacked, np.stack(outwards), np.diff(stacked, axis=1) / attempt.tick_s)
 
 
 def command(attempt: Attempt, path: PairPath, row: int, inwards_m: float, moving: bool = True) -> None:
@@ -145,60 +150,108 @@ class Squeeze:
             attempt.step(p.control_every)
             misses = misses + 1 if weaker <= 0.0 else 0
             if misses * p.control_every == p.pair_lost_steps:
-                raise Ended(lost)
+                raise AttemptFailed(lost)
             if after_tick is not None:
                 after_tick()
 
 
-def take_sticks(
-    attempt: Attempt,
-    pose: tuple[float, float, float],
-    distances: tuple[float, float],
-    heights: tuple[float, float],
-) -> None:
-    """Put the sticks into the hands, at rest."""
-    x, y, theta = pose
-    for hand, side, turn, distance, height in zip(attempt.hands, SIDES, HAND_TURNS, distances, heights, strict=True):
-        grip = hand.grip
-        assert grip is not None
-        hx, hy, yaw = x + side * distance * math.cos(theta), y + side * distance * math.sin(theta), theta + turn
-        c, s = math.cos(yaw), math.sin(yaw)
-        hand.tool = attempt.world.place(
-            grip.spec,
-            hx + c * grip.x_m - s * grip.y_m,
-            hy + s * grip.x_m + c * grip.y_m,
-            height + grip.z_m,
-            yaw + grip.yaw_rad,
-        )
-        hand.arm.close_fingers()
+class TwoArms(Kind):
+    """A step of two hands that act as one, each with a stick along the pair's axis, across the jaws.
 
-
-def lower(
-    attempt: Attempt,
-    pose: tuple[float, float, float],
-    start_m: float,
-    path: PairPath,
-    distances: tuple[float, float],
-    heights: tuple[float, float],
-) -> PairPath | None:
-    """Put the pair with its sticks ``start_m`` above the first row of ``path``, at rest.
-
-    Returns
-    -------
-    PairPath or None
-        The way down to that row; None where the pair already stands there.
+    The pair's frame has its origin midway between the tips of the sticks. The right hand is the left one turned by half
+    a turn about it.
     """
-    down = None
-    if start_m > 0.0:
-        p = attempt.parameters
-        shares = profile(start_m, p.descend_speed_m_s, p.time_step_s * p.control_every, p.ramp_share)
-        fall = np.stack([np.full_like(shares, pose[0]), np.full_like(shares, pose[1]), start_m * (1 - shares)], axis=1)
-        down = pair_path(attempt, fall, pose[2], distances, heights)
-        # the same turn of joint 7 as the path that follows
-        down.positions[:, :, 6] += (path.positions[:, 0, 6] - down.positions[:, -1, 6])[:, None]
-    first = (path if down is None else down).positions[:, 0]
-    for side, hand in enumerate(attempt.hands):
-        assert hand.grip is not None
-        hand.arm.reset(first[side], hand.grip.opening_m)
-    take_sticks(attempt, pose, distances, (heights[0] + start_m, heights[1] + start_m))
-    return down
+
+    @abstractmethod
+    def distances(self, situation: Situation, closed: bool, p: WorldParameters) -> tuple[float, float]:
+        """Distance of the left and of the right hand from the pair's origin, m."""
+
+    @abstractmethod
+    def heights(self, situation: Situation, p: WorldParameters) -> tuple[float, float]:
+        """Heights of the two tool centre points while the pair works, m."""
+
+    @property
+    @abstractmethod
+    def sticks_allowed(self) -> bool:
+        """Whether the sticks may touch the target."""
+
+    def reach_distances(self, p: WorldParameters) -> tuple[float, ...]:
+        """Smallest and largest distance from the pair's origin: sticks held within a quarter of their middle."""
+        half_short, half_long = p.stick_length_min_m / 2, p.stick_length_max_m / 2
+        return 0.75 * half_short, 1.25 * half_long + p.pair_open_m
+
+    def hand_yaws(self, theta: Any) -> tuple[Any, Any]:
+        """Across the pair's axis."""
+        return theta + HAND_TURNS[0], theta + HAND_TURNS[1]
+
+    def hands(
+        self,
+        situation: Situation,
+        pose: Pose,
+        height_m: float,
+        arm: str = "left",
+        closed: bool = False,
+        p: WorldParameters = WORLD,
+    ) -> list[HandPose]:
+        """Left and right hand."""
+        x, y, theta = pose
+        c, s = math.cos(theta), math.sin(theta)
+        distances, heights = self.distances(situation, closed, p), self.heights(situation, p)
+        return [
+            HandPose(name, x + side * far * c, y + side * far * s, height_m + height, theta + turn, grip.opening_m)
+            for name, side, turn, far, height, grip in zip(
+                ARMS, SIDES, HAND_TURNS, distances, heights, situation.grips, strict=True
+            )
+        ]
+
+    def parts(self, situation: Situation, closed: bool, p: WorldParameters) -> list[Part]:
+        """Fingers and stick of the left hand, then of the right hand."""
+        parts: list[Part] = []
+        hands = hand_footprints(situation.grips, self.distances(situation, closed, p), p)
+        for grip, rects, tip in zip(situation.grips, hands, self.heights(situation, p), strict=True):
+            parts += hand_parts(tuple(rects[:2]), tuple(rects[2:]), grip, tip, False, self.sticks_allowed, p)
+        return parts
+
+    def lower(self, attempt: Attempt, pose: Pose, start_m: float, path: PairPath) -> PairPath | None:
+        """Put the pair with its sticks ``start_m`` above the first row of ``path``, at rest.
+
+        Returns
+        -------
+        PairPath or None
+            The way down to that row; None where the pair already stands there.
+        """
+        p, situation = attempt.parameters, attempt.situation
+        down = None
+        if start_m > 0.0:
+            shares = profile(start_m, p.descend_speed_m_s, attempt.tick_s, p.ramp_share)
+            x, y = np.full_like(shares, pose[0]), np.full_like(shares, pose[1])
+            fall = np.stack([x, y, start_m * (1 - shares)], axis=1)
+            distances, heights = self.distances(situation, False, p), self.heights(situation, p)
+            down = pair_path(attempt, fall, pose[2], distances, heights)
+            # the same turn of joint 7 as the path that follows
+            down.positions[:, :, 6] += (path.positions[:, 0, 6] - down.positions[:, -1, 6])[:, None]
+        first = (path if down is None else down).positions[:, 0]
+        for joints, hand, grip in zip(first, attempt.hands, situation.grips, strict=True):
+            hand.arm.reset(joints, grip.opening_m)
+        sticks = self.held(situation, self.hands(situation, pose, start_m, p=p), pose)
+        for hand, stick in zip(attempt.hands, sticks, strict=False):
+            hand.tool = attempt.world.put(stick)
+            hand.arm.close_fingers()
+        return down
+
+
+def sticks_of(attempt: Attempt) -> tuple[int, ...]:
+    """Bodies of the two sticks."""
+    return tuple(hand.tool for hand in attempt.hands if hand.tool is not None)
+
+
+def pair_frame(attempt: Attempt, theta: float) -> tuple[float, float, tuple[float, float, float, float]]:
+    """Distances of the hands from the pair's origin, and the pair frame (x, y, z of the lower hand, yaw)."""
+    left, right = (hand.arm.hand_pose() for hand in attempt.hands)
+    extents = inner_extents(attempt.situation.grips)
+    c, s = math.cos(theta), math.sin(theta)
+    along = (left[0] - right[0]) * c + (left[1] - right[1]) * s
+    half = (along - extents[0] - extents[1]) / 2  # from the origin to each tip
+    left_m, right_m = half + extents[0], half + extents[1]
+    x, y = left[0] - left_m * c, left[1] - left_m * s
+    return left_m, right_m, (x, y, min(left[2], right[2]), theta)

@@ -3,118 +3,144 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
-from evaluator.sim.attempt import Attempt, Ended, relative
-from evaluator.sim.footprints import clear_of_target, hand_footprints, inner_extents, pair_heights
-from evaluator.sim.kinds.grasp import CLEAR_M
-from evaluator.sim.kinds.pair import Squeeze, command, lower, pair_path
-from evaluator.sim.kinds.push import CLEAR_TOOL_M
+from evaluator.sim.attempt import CLEAR_M, CLEAR_TOOL_M, Attempt, AttemptFailed, relative
+from evaluator.sim.footprints import SIDES, clear_of_target, hand_footprints, inner_extents, pair_heights
+from evaluator.sim.kinds.base import TOOL_HEIGHTS_M, Flags, GraspKind
+from evaluator.sim.kinds.pair import Squeeze, TwoArms, command, pair_frame, pair_path, sticks_of
 from evaluator.sim.motion import profile
 from evaluator.sim.parameters import WorldParameters
-from evaluator.sim.planar import Rect, gap
-from evaluator.sim.shapes import footprint
-from rema_data.schema import Failure, Pinch, Situation
+from evaluator.sim.planar import gap, swept
+from evaluator.sim.shapes import boxes, footprint
+from evaluator.sim.staging import Pose
+from rema_data import grid
+from rema_data.schema import Embodiment, Failure, Pinch, Placement, Primitive, Situation, StepKind
+
+__all__ = ["Pincer"]
+
+MAX_HALF_M = 0.035
+"""Half the thickness up to which the reference policy pinches a bar."""
 
 
-def can_touch(situation: Situation, pose: tuple[float, float, float], parameters: WorldParameters) -> bool:
-    """Whether the sticks or hands could touch the target anywhere while they close."""
-    left, right = inner_extents(situation.grips)
-    opened = (parameters.pair_open_m + left, parameters.pair_open_m + right)
-    way = parameters.pair_open_m - parameters.pair_empty_m
-    covered = []
-    for side, rects in zip((-1.0, 1.0), hand_footprints(situation.grips, opened, parameters), strict=True):
-        for rect in rects:
-            (x_low, x_high), (y_low, y_high) = rect.extent(0.0), rect.extent(math.pi / 2)
-            x_low, x_high = x_low + min(0.0, side * way), x_high + max(0.0, side * way)
-            middle = Rect((x_low + x_high) / 2, (y_low + y_high) / 2, 0.0, (x_high - x_low) / 2, (y_high - y_low) / 2)
-            covered.append(middle.moved(*pose))
-    return gap(covered, footprint(situation.target)) <= CLEAR_TOOL_M
+class Pincer(TwoArms, GraspKind):
+    """A grasp between two sticks. Where it is not the last step of a task, the object becomes a tool squared."""
 
+    step = StepKind(Primitive.GRASP, Embodiment.STICKS)
+    acting, touching, role = "two sticks", "the two held sticks", "tool"
+    sticks_allowed = True
 
-def pincer(attempt: Attempt, pose: tuple[float, float, float]) -> Pinch | None:
-    """Grasp the target between two sticks at (x, y, theta) and lift it; raises Ended where it fails.
+    def distances(self, situation: Situation, closed: bool, p: WorldParameters) -> tuple[float, float]:
+        """Tips apart, or together."""
+        left, right = inner_extents(situation.grips)
+        opened = 0.0 if closed else p.pair_open_m
+        return left + opened, right + opened
 
-    Returns
-    -------
-    Pinch or None
-        The object as a tool between the sticks, if this step is not the task's last.
-    """
-    p, world = attempt.parameters, attempt.world
-    grips = attempt.situation.grips
-    x, y, theta = pose
-    extents = inner_extents(grips)
-    opened = (p.pair_open_m + extents[0], p.pair_open_m + extents[1])
-    heights = pair_heights(grips, p.pair_clearance_m)
-    tick = p.time_step_s * p.control_every
+    def heights(self, situation: Situation, p: WorldParameters) -> tuple[float, float]:
+        """So high that hands and sticks keep clear of the table."""
+        return pair_heights(situation.grips, p.pair_clearance_m)
 
-    # Closing: each row brings the tips one tick nearer
-    travel = np.arange(0.0, p.pair_open_m - p.pair_empty_m, p.pair_closing_speed_m_s * tick)
-    here = np.tile([x, y, 0.0], (len(travel), 1))
-    closing = pair_path(attempt, here, theta, (opened[0] - travel, opened[1] - travel), heights)
-    lift = profile(p.pair_lift_height_m, p.pair_lift_speed_m_s, tick, p.ramp_share)
-    rise = np.stack([np.full_like(lift, x), np.full_like(lift, y), p.pair_lift_height_m * lift], axis=1)
+    def reach_heights(self, p: WorldParameters) -> tuple[float, ...]:
+        """For any stick, and at the top of the lift."""
+        return *TOOL_HEIGHTS_M, TOOL_HEIGHTS_M[1] + p.pair_lift_height_m
 
-    footprints = [rect for hand in hand_footprints(grips, opened, p) for rect in hand]
-    start = 0.0
-    if not clear_of_target(attempt.situation, footprints, pose, CLEAR_M):
-        start = attempt.situation.target.spec.height_m + p.approach_clearance_m - p.pair_clearance_m
-    down = lower(attempt, pose, start, closing, opened, heights)
-    attempt.allowed = tuple(hand.tool for hand in attempt.hands if hand.tool is not None)
-    attempt.step(p.grip_settle_steps)
-    if down is not None:
-        attempt.descend(down.of_each_hand())
+    def success_lift_m(self, p: WorldParameters) -> float:
+        """Nearly the whole lift."""
+        return p.pair_success_lift_m
 
-    squeeze = Squeeze(attempt.target)
-    contact = None
-    for row in range(1, len(travel)):
-        command(attempt, closing, row, 0.0)
-        attempt.step(p.control_every)
-        left, right = squeeze.forces(attempt)
-        attempt.evidence.contact_steps += left > 0 or right > 0
-        if min(left, right) >= p.pair_contact_n:
-            contact = row
-            break
-    if contact is None:
-        raise Ended(Failure.NOT_LIFTED if attempt.evidence.contact_steps else Failure.MISSED)
+    def can_touch(self, situation: Situation, pose: Pose, p: WorldParameters) -> bool:
+        """Sticks and hands sweep rectangles while they close."""
+        hands = hand_footprints(situation.grips, self.distances(situation, False, p), p)
+        way = p.pair_open_m - p.pair_empty_m
+        covered = [
+            swept(rect, -side * way).moved(*pose) for side, rects in zip(SIDES, hands, strict=True) for rect in rects
+        ]
+        return gap(covered, footprint(situation.target)) <= CLEAR_TOOL_M
 
-    distances = (opened[0] - travel[contact], opened[1] - travel[contact])
-    up = pair_path(attempt, rise, theta, distances, heights)
-    squeeze.hold(attempt, up, 0, p.pair_squeeze_steps)
-    rest_z = attempt.situation.target.spec.height_m / 2
+    def carry_out(self, attempt: Attempt, pose: Pose) -> Pinch | None:
+        """Close on the target at (x, y, theta), and lift it."""
+        p, world, situation = attempt.parameters, attempt.world, attempt.situation
+        x, y, theta = pose
+        opened, heights = self.distances(situation, False, p), self.heights(situation, p)
 
-    def watch() -> None:
-        attempt.evidence.lift_m = max(attempt.evidence.lift_m, world.pose(attempt.target)[2] - rest_z)
+        # Closing: each row brings the tips one tick nearer
+        travel = np.arange(0.0, p.pair_open_m - p.pair_empty_m, p.pair_closing_speed_m_s * attempt.tick_s)
+        here = np.tile([x, y, 0.0], (len(travel), 1))
+        closing = pair_path(attempt, here, theta, (opened[0] - travel, opened[1] - travel), heights)
+        lift = profile(p.pair_lift_height_m, p.pair_lift_speed_m_s, attempt.tick_s, p.ramp_share)
+        rise = np.stack([np.full_like(lift, x), np.full_like(lift, y), p.pair_lift_height_m * lift], axis=1)
 
-    try:
-        squeeze.carry(attempt, up, Failure.NOT_LIFTED, watch)
-        squeeze.hold(attempt, up, len(lift) - 1, p.hold_steps)
-    except Ended as ended:
-        if ended.failure is Failure.NOT_LIFTED and attempt.evidence.lift_m > p.slip_lift_m:
-            raise Ended(Failure.SLIPPED) from None
-        raise
-    height = world.pose(attempt.target)[2] - rest_z
-    if not attempt.tools_held():
-        raise Ended(Failure.TOOL_LOST)
-    if height < p.pair_success_lift_m or min(squeeze.forces(attempt)) <= 0:
-        raise Ended(Failure.SLIPPED if attempt.evidence.lift_m > p.slip_lift_m else Failure.NOT_LIFTED)
-    if attempt.situation.last:
-        return None
-    if world.tilt(attempt.target) > p.max_tool_tilt_rad:
-        raise Ended(Failure.TOOL_LOST)
-    left_m, right_m, frame = pair_frame(attempt, theta)
-    px, py, pz, pyaw = relative(world.pose(attempt.target), frame)
-    return Pinch(attempt.situation.target.spec, px, py, pz, pyaw, left_m, right_m)
+        start = 0.0
+        footprints = [rect for hand in hand_footprints(situation.grips, opened, p) for rect in hand]
+        if not clear_of_target(situation, footprints, pose, CLEAR_M):
+            start = self.start_height(situation, p.approach_clearance_m) - p.pair_clearance_m
+        down = self.lower(attempt, pose, start, closing)
+        attempt.allowed = sticks_of(attempt)
+        attempt.step(p.grip_settle_steps)
+        if down is not None:
+            attempt.descend(down.of_each_hand())
 
+        squeeze = Squeeze(attempt.target)
+        contact = None
+        for row in range(1, len(travel)):
+            command(attempt, closing, row, 0.0)
+            attempt.step(p.control_every)
+            left, right = squeeze.forces(attempt)
+            if left > 0 or right > 0:
+                attempt.note(contact_steps=attempt.evidence.contact_steps + 1)
+            if min(left, right) >= p.pair_contact_n:
+                contact = row
+                break
+        if contact is None:
+            raise AttemptFailed(Failure.NOT_LIFTED if attempt.evidence.contact_steps else Failure.MISSED)
 
-def pair_frame(attempt: Attempt, theta: float) -> tuple[float, float, tuple[float, float, float, float]]:
-    """Distances of the hands from the pair's origin, and the pair frame (x, y, z of the lower hand, yaw)."""
-    left, right = (hand.arm.hand_pose() for hand in attempt.hands)
-    extents = inner_extents(attempt.situation.grips)
-    c, s = math.cos(theta), math.sin(theta)
-    along = (left[0] - right[0]) * c + (left[1] - right[1]) * s
-    half = (along - extents[0] - extents[1]) / 2  # from the origin to each tip
-    left_m, right_m = half + extents[0], half + extents[1]
-    x, y = left[0] - left_m * c, left[1] - left_m * s
-    return left_m, right_m, (x, y, min(left[2], right[2]), theta)
+        distances = (opened[0] - travel[contact], opened[1] - travel[contact])
+        up = pair_path(attempt, rise, theta, distances, heights)
+        squeeze.hold(attempt, up, 0, p.pair_squeeze_steps)
+        rest_z = situation.target.spec.height_m / 2
+        try:
+            squeeze.carry(attempt, up, Failure.NOT_LIFTED, lambda: attempt.note_lift(rest_z))
+            squeeze.hold(attempt, up, len(lift) - 1, p.hold_steps)
+        except AttemptFailed as failed:
+            if failed.failure is Failure.NOT_LIFTED and attempt.evidence.lift_m > p.slip_lift_m:
+                raise AttemptFailed(Failure.SLIPPED) from None
+            raise
+        height = world.pose(attempt.target)[2] - rest_z
+        if not attempt.tools_held():
+            raise AttemptFailed(Failure.TOOL_LOST)
+        if height < p.pair_success_lift_m or min(squeeze.forces(attempt)) <= 0:
+            lifted = attempt.evidence.lift_m > p.slip_lift_m
+            raise AttemptFailed(Failure.SLIPPED if lifted else Failure.NOT_LIFTED)
+        if situation.last:
+            return None
+        if world.tilt(attempt.target) > p.max_tool_tilt_rad:
+            raise AttemptFailed(Failure.TOOL_LOST)
+        left_m, right_m, frame = pair_frame(attempt, theta)
+        return Pinch(situation.target.spec, *relative(world.pose(attempt.target), frame), left_m, right_m)
+
+    def candidates(
+        self, target: Placement, valid: Flags, rng: np.random.Generator, p: WorldParameters
+    ) -> Iterator[int]:
+        """Across a bar near the centre of mass: at most two, the best aligned first."""
+        ranked: list[tuple[float, int]] = []
+        for bar in boxes(target.spec):
+            placed = bar.moved(target.x_m, target.y_m, target.yaw_rad)
+            for across in (0.0, math.pi / 2):
+                theta = (placed.yaw + across) % math.pi
+                k = round(theta / (2 * math.pi / grid.ANGLES)) % grid.PAIR_ANGLES
+                thickness = placed.half_x if across == 0.0 else placed.half_y
+                error = abs((theta - k * 2 * math.pi / grid.ANGLES + math.pi / 2) % math.pi - math.pi / 2)
+                # aim at the point of the bar nearest to the centre of mass
+                c, s = math.cos(placed.yaw), math.sin(placed.yaw)
+                dx, dy = target.x_m - placed.x, target.y_m - placed.y
+                along = max(-placed.half_x, min(placed.half_x, c * dx + s * dy))
+                side = max(-placed.half_y, min(placed.half_y, c * dy - s * dx))
+                along, side = (along, 0.0) if across else (0.0, side)
+                x, y = placed.x + c * along - s * side, placed.y + s * along + c * side
+                action = int(grid.snap(x, y, k * 2 * math.pi / grid.ANGLES))
+                if valid[action] and thickness < MAX_HALF_M:
+                    far = math.hypot(x - target.x_m, y - target.y_m)
+                    ranked.append((error + 10 * thickness + 5 * far, action))
+        return iter([action for _, action in sorted(ranked)[:2]])

@@ -2,81 +2,120 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from evaluator.sim.attempt import Attempt, Ended, relative, wrap
-from evaluator.sim.footprints import clear_of_target, pinched_footprint, pinched_heights
-from evaluator.sim.kinds.grasp import CLEAR_M
-from evaluator.sim.kinds.pair import PairPath, Squeeze, lower, pair_path
-from evaluator.sim.kinds.pincer import pair_frame
-from evaluator.sim.kinds.push import POLL_EVERY, judge, settle
+from evaluator.sim.attempt import CLEAR_M, POLL_EVERY, Attempt, AttemptFailed, relative
+from evaluator.sim.footprints import clear_of_target, hand_footprints, pair_heights
+from evaluator.sim.kinds.base import TOOL_HEIGHTS_M, PushKind
+from evaluator.sim.kinds.pair import PairPath, Squeeze, TwoArms, pair_frame, pair_path, sticks_of
 from evaluator.sim.motion import profile
-from rema_data.schema import Failure
+from evaluator.sim.parameters import WorldParameters
+from evaluator.sim.planar import Rect
+from evaluator.sim.shapes import boxes
+from evaluator.sim.staging import HandPose, Part, Pose, Thing, turned
+from rema_data.schema import Embodiment, Failure, Pinch, Primitive, Situation, StepKind
+
+__all__ = ["PinchedPush"]
 
 
-def push_pinched(attempt: Attempt, pose: tuple[float, float, float]) -> None:
-    """Push the target 30 cm in +x with an object pinched between two sticks; raises Ended where it fails."""
-    p, world = attempt.parameters, attempt.world
-    pinch, grips = attempt.situation.pinch, attempt.situation.grips
-    assert pinch is not None
-    x, y, theta = pose
-    distances = (pinch.left_m, pinch.right_m)
-    heights = pinched_heights(grips, pinch, p)
-    tick = p.time_step_s * p.control_every
-    shares = profile(p.push_distance_m, p.pinched_push_speed_m_s, tick, p.ramp_share)
-    way = np.stack([x + p.push_distance_m * shares, np.full_like(shares, y), np.zeros_like(shares)], axis=1)
-    across = pair_path(attempt, way, theta, distances, heights)
+class PinchedPush(TwoArms, PushKind):
+    """A push of two hands with what they pinched before."""
 
-    start = 0.0
-    if not clear_of_target(attempt.situation, pinched_footprint(grips, pinch, p), pose, CLEAR_M):
-        start = attempt.situation.target.spec.height_m + p.approach_clearance_m - p.pinched_clearance_m
-    down = lower(attempt, pose, start, across, distances, heights)
-    path = across if down is None else down
-    c, s = math.cos(theta), math.sin(theta)
-    held = world.place(
-        pinch.spec,
-        x + c * pinch.x_m - s * pinch.y_m,
-        y + s * pinch.x_m + c * pinch.y_m,
-        min(heights) + start + pinch.z_m,
-        theta + pinch.yaw_rad,
-    )
-    sticks = tuple(hand.tool for hand in attempt.hands if hand.tool is not None)
-    attempt.allowed, attempt.forbidden = (held,), (*attempt.forbidden, *sticks)
-    squeeze = Squeeze(held, p.pair_max_correction_m)
-    if squeeze.hold(attempt, path, 0, p.pair_squeeze_steps) <= 0:
-        raise Ended(Failure.TOOL_LOST)
-    if down is not None:
-        _descend_squeezing(attempt, down, squeeze)
-    start_x = world.pose(attempt.target)[0]
-    counter = [0]
+    step = StepKind(Primitive.PUSH, Embodiment.PINCHED)
+    acting, touching, role = "a pinched object", "the pinched object", "held"
+    sticks_allowed = False
 
-    def watch() -> None:
-        counter[0] += 1
-        if counter[0] % (POLL_EVERY // p.control_every) == 0:
-            attempt.touched()
+    def distances(self, situation: Situation, closed: bool, p: WorldParameters) -> tuple[float, float]:
+        """As they pinched."""
+        pinch = _pinch(situation)
+        return pinch.left_m, pinch.right_m
 
-    squeeze.carry(attempt, across, Failure.TOOL_LOST, watch)
-    squeeze.hold(attempt, across, len(shares) - 1, POLL_EVERY * 4)
-    settle(attempt)
-    _, _, frame = pair_frame(attempt, theta)
-    px, py, pz, pyaw = relative(world.pose(held), frame)
-    slip = math.dist((px, py, pz), (pinch.x_m, pinch.y_m, pinch.z_m))
-    turned = abs(wrap(pyaw - pinch.yaw_rad))
-    if min(squeeze.forces(attempt)) <= 0 or slip > p.max_tool_slip_m or turned > p.max_tool_turn_rad:
-        raise Ended(Failure.TOOL_LOST)
-    judge(attempt, start_x)
+    def heights(self, situation: Situation, p: WorldParameters) -> tuple[float, float]:
+        """As they pinched, and the whole lowered until its lowest point is at the clearance."""
+        pinch, heights = _pinch(situation), pair_heights(situation.grips, p.pair_clearance_m)
+        bottom = min(min(heights) + pinch.z_m - pinch.spec.height_m / 2, p.pair_clearance_m)
+        shift = p.pinched_clearance_m - bottom
+        return heights[0] + shift, heights[1] + shift
+
+    def reach_heights(self, p: WorldParameters) -> tuple[float, ...]:
+        """For any sticks."""
+        return TOOL_HEIGHTS_M
+
+    def held(self, situation: Situation, hands: list[HandPose], pose: Pose) -> list[Thing]:
+        """Both sticks, and the object between them."""
+        pinch = _pinch(situation)
+        x, y = turned(pose, pinch.x_m, pinch.y_m)
+        z = min(hand.z_m for hand in hands) + pinch.z_m
+        return [*super().held(situation, hands, pose), Thing("held", pinch.spec, x, y, z, pose[2] + pinch.yaw_rad)]
+
+    def parts(self, situation: Situation, closed: bool, p: WorldParameters) -> list[Part]:
+        """Hands and sticks, and the object between them."""
+        pinch = _pinch(situation)
+        bottom = min(self.heights(situation, p)) + pinch.z_m - pinch.spec.height_m / 2
+        return super().parts(situation, closed, p) + [
+            Part(rect, bottom, bottom + pinch.spec.height_m, True) for rect in _pinched(pinch)
+        ]
+
+    def can_touch(self, situation: Situation, pose: Pose, p: WorldParameters) -> bool:
+        """Always simulated: the pinch may be lost on the way, and that label is not known beforehand."""
+        return True
+
+    def carry_out(self, attempt: Attempt, pose: Pose) -> None:
+        """Push from (x, y, theta)."""
+        p, world, situation = attempt.parameters, attempt.world, attempt.situation
+        pinch = _pinch(situation)
+        x, y, theta = pose
+        distances = self.distances(situation, False, p)
+        shares = profile(p.push_distance_m, p.pinched_push_speed_m_s, attempt.tick_s, p.ramp_share)
+        way = np.stack([x + p.push_distance_m * shares, np.full_like(shares, y), np.zeros_like(shares)], axis=1)
+        across = pair_path(attempt, way, theta, distances, self.heights(situation, p))
+
+        start = 0.0
+        footprints = [rect for hand in hand_footprints(situation.grips, distances, p) for rect in hand]
+        if not clear_of_target(situation, [*footprints, *_pinched(pinch)], pose, CLEAR_M):
+            start = self.start_height(situation, p.approach_clearance_m) - p.pinched_clearance_m
+        down = self.lower(attempt, pose, start, across)
+        held = world.put(self.held(situation, self.hands(situation, pose, start, p=p), pose)[-1])
+        attempt.allowed, attempt.forbidden = (held,), (*attempt.forbidden, *sticks_of(attempt))
+        squeeze = Squeeze(held, p.pair_max_correction_m)
+        if squeeze.hold(attempt, across if down is None else down, 0, p.pair_squeeze_steps) <= 0:
+            raise AttemptFailed(Failure.TOOL_LOST)
+        if down is not None:
+            _descend_squeezing(attempt, down, squeeze)
+        start_x = world.pose(attempt.target)[0]
+        ticks = 0
+
+        def watch() -> None:
+            nonlocal ticks
+            ticks += 1
+            if ticks % (POLL_EVERY // p.control_every) == 0:
+                attempt.touched()
+
+        squeeze.carry(attempt, across, Failure.TOOL_LOST, watch)
+        squeeze.hold(attempt, across, len(shares) - 1, POLL_EVERY * 4)
+        self.settle(attempt)
+        _, _, frame = pair_frame(attempt, theta)
+        if min(squeeze.forces(attempt)) <= 0 or not attempt.unmoved(relative(world.pose(held), frame), pinch):
+            raise AttemptFailed(Failure.TOOL_LOST)
+        self.check_moved(attempt, start_x)
+
+
+def _pinch(situation: Situation) -> Pinch:
+    assert situation.pinch is not None
+    return situation.pinch
+
+
+def _pinched(pinch: Pinch) -> list[Rect]:
+    """Footprint of the pinched object in the pair frame."""
+    return [box.moved(pinch.x_m, pinch.y_m, pinch.yaw_rad) for box in boxes(pinch.spec)]
 
 
 def _descend_squeezing(attempt: Attempt, path: PairPath, squeeze: Squeeze) -> None:
-    p, world, target = attempt.parameters, attempt.world, attempt.target
+    """Move down without losing the object, and end the attempt if anything lands on the target (protective stop)."""
 
     def watch() -> None:
         bodies = (*attempt.allowed, *attempt.forbidden)
-        force = sum(world.force(body, target) for body in bodies)
-        attempt.evidence.peak_force_n = max(attempt.evidence.peak_force_n, force)
-        if force > p.stop_force_n:
-            raise Ended(Failure.BLOCKED)
+        if attempt.too_much(sum(attempt.world.force(body, attempt.target) for body in bodies)):
+            raise AttemptFailed(Failure.BLOCKED)
 
     squeeze.carry(attempt, path, Failure.TOOL_LOST, watch)

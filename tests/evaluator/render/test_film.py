@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluator.render.film import EVIDENCE_FIELDS, FilmMaker, Take, agreement
+from evaluator.render.film import FilmMaker, Take, agreement
 from evaluator.report.finished import FinishedRun
 from evaluator.sim.simulator import Simulator
 from rema_data import grid
@@ -44,7 +44,7 @@ def recorded(outcomes: list[tuple[int, StepOutcome]]) -> dict[str, Any]:
     for step, (action, outcome) in enumerate(outcomes):
         row |= {f"step{step}_action": action, f"step{step}_success": outcome.success}
         row[f"step{step}_failure"] = None if outcome.failure is None else outcome.failure.value
-        row |= {f"step{step}_{name}": getattr(outcome, name) for name in EVIDENCE_FIELDS}
+        row |= {f"step{step}_{name}": value for name, value in outcome.evidence().items()}
         if not outcome.success:
             row["failed_step"] = step
     return row

@@ -54,7 +54,7 @@ class OtherSimulator(FakeSimulator):
     def run(self, situation: Situation, action: int) -> StepOutcome:
         outcome = super().run(situation, action)
         if scenario_number(situation) % 10 == 5:
-            return StepOutcome(False, None, "left", lift_m=7.0)
+            return StepOutcome(False, None, arm="left", lift_m=7.0)
         return replace(outcome, lift_m=outcome.lift_m + 1)
 
 

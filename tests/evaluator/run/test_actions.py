@@ -45,8 +45,8 @@ def test_from_records_to_the_log_and_back(fake_home: object) -> None:
     records.add_answers([Answered(0, 0, 33_000), Answered(1, 0, None, "nan", "nan"), Answered(0, 1, 33_001)])
     records.add_outcomes(
         [
-            Simulated(0, 0, StepOutcome(True, None, "left"), 0.1, "w0", 1),
-            Simulated(0, 1, StepOutcome(False, Failure.MISSED, "left"), 0.1, "w0", 1),
+            Simulated(0, 0, StepOutcome(True, None, arm="left"), 0.1, "w0", 1),
+            Simulated(0, 1, StepOutcome(False, Failure.MISSED, arm="left"), 0.1, "w0", 1),
         ]
     )
     log = actions_of(episodes_table(load_list("grasp_grasp_push"), 3, steps, records), steps)

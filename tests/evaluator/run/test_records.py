@@ -16,8 +16,8 @@ from evaluator.scenarios import VERSION, load_list
 from rema_data.errors import IntegrityError, StorageError
 from rema_data.schema import Failure, StepOutcome
 
-MISSED = StepOutcome(False, Failure.MISSED, "left", 0.0, 0.1 + 0.2, 1e-17, 0, 0, 120)
-LIFTED = StepOutcome(True, None, "left", 0.0, 0.3, 4.0, 50, 0, 400)
+MISSED = StepOutcome(False, Failure.MISSED, arm="left", lift_m=0.1 + 0.2, peak_force_n=1e-17, sim_steps=120)
+LIFTED = StepOutcome(True, None, arm="left", lift_m=0.3, peak_force_n=4.0, contact_steps=50, sim_steps=400)
 
 
 def fill(folder: Path, indices: list[int], segment: int = 1) -> Ledger:

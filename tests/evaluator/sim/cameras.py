@@ -1,6 +1,6 @@
 """The camera path of the paper: point clouds of real bodies, projected to height maps.
 
-The judge uses ``observation.py``, which paints the same maps from the known boxes. This module is the check that both
+The evaluator uses ``observation.py``, which paints the same maps from the known boxes. This module checks that both
 agree, and nothing else depends on it: it takes about a second a situation.
 
 The scene is seen by one camera from above, the end effector by four around its centre. Every image pixel is a point
@@ -18,14 +18,15 @@ import numpy as np
 import numpy.typing as npt
 import pybullet
 
+from evaluator.sim.kinds import kind_of
 from evaluator.sim.kinematics import base_of, solve
 from evaluator.sim.observation import SLAB_M
 from evaluator.sim.parameters import WORLD, WorldParameters
 from evaluator.sim.robots import FINGER_JOINTS
-from evaluator.sim.staging import HandPose, Thing, hand_poses, held_things, target_thing
+from evaluator.sim.staging import HandPose, target_thing
 from evaluator.sim.world import World
 from rema_data.grid import EE_HALF_M, EE_PIXELS, PIXEL_M, SCENE_HALF_M, SCENE_PIXELS, pixel_centres
-from rema_data.schema import HEIGHT_STEP_M, Embodiment, Situation
+from rema_data.schema import HEIGHT_STEP_M, Situation
 
 __all__ = ["Camera", "capture_end_effector", "capture_scene", "end_effector_cameras", "point_cloud", "scene_camera"]
 
@@ -133,7 +134,7 @@ def capture_scene(situation: Situation, parameters: WorldParameters = WORLD) -> 
     """
     world = World((), parameters)
     try:
-        body = _place(world, target_thing(situation))
+        body = world.put(target_thing(situation))
         cloud = point_cloud(world.client, scene_camera(), [body])
     finally:
         world.close()
@@ -162,11 +163,11 @@ def capture_end_effector(
     """
     depth = np.zeros((2, EE_PIXELS, EE_PIXELS), np.uint16)
     mask = np.zeros((2, EE_PIXELS, EE_PIXELS), np.bool_)
-    two_arms = situation.kind.embodiment.two_arms
-    world = World(("left", "right") if two_arms else ("left",), parameters)
+    kind = kind_of(situation)
+    world = World(("left", "right") if kind.two_arms else ("left",), parameters)
     try:
         pose = (0.0, 0.0, yaw_rad)
-        states = [hand_poses(situation, pose, CAPTURE_HEIGHT_M, closed=end, p=parameters) for end in (False, True)]
+        states = [kind.hands(situation, pose, CAPTURE_HEIGHT_M, closed=end, p=parameters) for end in (False, True)]
         for number, hands in enumerate(states):
             if number == 0 or hands != states[0]:  # else nothing closes
                 depth[number:], mask[number:] = _capture_state(world, situation, hands, pose)
@@ -183,15 +184,13 @@ def _capture_state(
         base = base_of(hand.arm, world.parameters)
         joints = solve(base, hand.x_m, hand.y_m, hand.z_m, hand.yaw_rad, world.parameters)
         world.arms[hand.arm].reset(joints, hand.opening_m)
-    things = held_things(situation, hands, pose)
-    bodies = [_place(world, thing) for thing in things]
-    kind = situation.kind.embodiment
+    kind = kind_of(situation)
+    things = kind.held(situation, hands, pose)
+    bodies = [world.put(thing) for thing in things]
     arms = [world.arms[hand.arm].body for hand in hands]
-    allowed: set[tuple[int, int]] = {(body, -1) for body in bodies}
-    if kind is Embodiment.GRIPPER:
+    allowed = {(body, -1) for body, thing in zip(bodies, things, strict=True) if thing.role == kind.role}
+    if kind.bare:
         allowed = {(body, link) for body in arms for link in FINGER_JOINTS}
-    elif kind is Embodiment.PINCHED:
-        allowed = {(bodies[-1], -1)}
     return _fuse(world, {*arms, *bodies}, allowed)
 
 
@@ -259,7 +258,3 @@ def _outline(across: Array, along: Array, centres: Array, half_m: float) -> tupl
 
 def _quantised(height: Array) -> Array:
     return np.rint(np.clip(height, 0.0, None) / HEIGHT_STEP_M)
-
-
-def _place(world: World, thing: Thing) -> int:
-    return world.place(thing.spec, thing.x_m, thing.y_m, thing.z_m, thing.yaw_rad)

@@ -10,15 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from evaluator.sim.footprints import inner_extents
+from evaluator.sim.kinds import KINDS
 from evaluator.sim.motion import profile
 from evaluator.sim.observation import SLAB_M, observe
 from evaluator.sim.parameters import WORLD
 from evaluator.sim.planar import Rect, paint, separation
-from evaluator.sim.reference import pick_candidates
+from evaluator.sim.reach import valid_actions
 from evaluator.sim.shapes import boxes, footprint, inertia_kg_m2, mass_kg
 from evaluator.sim.spawn import draw_episode, episode_generator
 from rema_data import grid
-from rema_data.schema import HEIGHT_STEP_M, TASKS, Embodiment, Grip, ObjectSpec, Placement, Shape, Situation
+from rema_data.schema import HEIGHT_STEP_M, TASKS, Grip, ObjectSpec, Placement, Shape, Situation
 from tests.evaluator.sim.conftest import BAR, ELL, HEIGHT, STICK, TEE, held
 
 specs = st.builds(
@@ -119,11 +120,11 @@ def test_draws_are_keyed_by_episode_and_stay_in_range(task: str) -> None:
     other = [draw_episode(episode_generator(1, "collect", task, n), task) for n in range(40)]
     assert first == again
     assert not set(first) & set(other)
-    two_arms = any(kind.embodiment.two_arms for kind in TASKS[task])
+    two_arms = any(KINDS[kind].two_arms for kind in TASKS[task])
     for placements in first:
         for kind, placement in zip(TASKS[task], placements, strict=True):
             spec = placement.spec
-            if two_arms and kind.embodiment is Embodiment.GRIPPER:
+            if two_arms and KINDS[kind].bare:
                 assert spec.shape is Shape.I
                 assert WORLD.stick_length_min_m <= spec.length_m <= WORLD.stick_length_max_m
             else:
@@ -132,9 +133,10 @@ def test_draws_are_keyed_by_episode_and_stay_in_range(task: str) -> None:
 
 
 def test_candidates_leave_room_for_the_fingers() -> None:
-    rng = np.random.default_rng(0)
+    rng, grasp = np.random.default_rng(0), KINDS[TASKS["grasp"][0]]
+    valid = valid_actions("grasp", 0).reshape(-1)
     for spec in (BAR, TEE, ELL, STICK):
-        found = list(pick_candidates(Placement(spec, 0.01, 0.02, 0.3), rng, WORLD))
+        found = list(grasp.candidates(Placement(spec, 0.01, 0.02, 0.3), valid, rng, WORLD))
         assert found, spec
         assert all(0 <= action < grid.ACTIONS for action in found)
 

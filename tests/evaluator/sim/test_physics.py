@@ -13,16 +13,28 @@ import numpy as np
 import pytest
 
 from evaluator.sim.attempt import Attempt, Hand
-from evaluator.sim.kinds.push import take_tool
+from evaluator.sim.kinds import kind_of
+from evaluator.sim.kinds.tool_push import ToolPush
 from evaluator.sim.kinematics import solve_path
 from evaluator.sim.motion import JointPath
 from evaluator.sim.parameters import WORLD, parameters_hash
 from evaluator.sim.reach import valid_actions
-from evaluator.sim.reference import reference_pick, tool_steps
+from evaluator.sim.reference import reference_step
 from evaluator.sim.simulator import Simulator
 from evaluator.sim.spawn import draw_episode, episode_generator
 from rema_data import grid
-from rema_data.schema import TASKS, Failure, Grip, ObjectSpec, Placement, Shape, Situation, StepOutcome, to_dict
+from rema_data.schema import (
+    TASKS,
+    Failure,
+    Grip,
+    ObjectSpec,
+    Placement,
+    Scenario,
+    Shape,
+    Situation,
+    StepOutcome,
+    to_dict,
+)
 from tests.evaluator.sim.conftest import BAR, ELL, HEIGHT, STICK, TEE, held
 
 
@@ -43,7 +55,7 @@ def shake(simulator: Simulator, rng: np.random.Generator) -> tuple[float, float]
     x, y = swing * math.cos(heading), swing * math.sin(heading)
     joints = solve_path(hand.arm.base, x, y, np.full(x.shape, 0.15), np.full(x.shape, yaw), False)
     hand.arm.reset(joints[0], grip.opening_m)
-    take_tool(attempt, (0.0, 0.0, yaw), 0.15)
+    ToolPush().take(attempt, (0.0, 0.0, yaw), 0.15)
     before = attempt.grip_in_hand(hand)
     attempt.follow([JointPath(joints, np.diff(joints, axis=0) * 120)])
     after = attempt.grip_in_hand(hand)
@@ -162,19 +174,17 @@ def situations(count: int) -> list[tuple[Situation, int]]:
     picker = Simulator()
     made = []
     for index in range(count):
-        for task, steps in TASKS.items():
+        for task in TASKS:
             if task == "grasp_grasp_push":
                 continue
             rng = episode_generator(7, "calibrate", task, index)
-            placements = draw_episode(rng, task)
-            grips = tuple(reference_pick(picker, task, step, placements[step], rng) for step in tool_steps(task))
-            if None in grips:
-                continue
-            last, target = len(steps) - 1, placements[-1]
-            back = WORLD.scripted_push_offset_m if steps[last].primitive == "push" else 0.0
-            yaw = float(rng.integers(8)) * 2 * np.pi / 16
-            action = int(grid.snap(target.x_m - back, target.y_m, yaw))
-            made.append((Situation(task, last, target, tuple(g for g in grips if g is not None)), action))
+            scenario = Scenario(task, "calibrate", index, draw_episode(rng, task))
+            situation = scenario.first_situation()
+            while not situation.last and (outcome := reference_step(picker, situation, rng)) is not None:
+                situation = scenario.next_situation(situation, outcome)
+            if situation.last:
+                yaw = float(rng.integers(8)) * 2 * np.pi / 16
+                made.append((situation, int(grid.snap(*kind_of(situation).aim(situation.target), yaw))))
     picker.close()
     return made
 
@@ -210,16 +220,6 @@ def test_what_came_before_does_not_matter(simulator: Simulator) -> None:
     for job in situations(10)[16:]:
         simulator.run(*job)
     assert [simulator.run(*job) for job in jobs] == before
-
-
-def test_meshes_change_nothing() -> None:
-    import pybullet_data
-
-    jobs = situations(2)
-    plain, pretty = Simulator(), Simulator(meshes=pybullet_data.getDataPath())
-    assert [plain.run(*job) for job in jobs] == [pretty.run(*job) for job in jobs]
-    plain.close()
-    pretty.close()
 
 
 def test_shortcuts_give_the_same_labels(simulator: Simulator) -> None:

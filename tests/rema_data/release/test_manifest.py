@@ -27,7 +27,7 @@ from rema_data.release.manifest import (
     check_name,
     parse_manifest,
 )
-from rema_data.schema import SCHEMA_VERSION, TASKS
+from rema_data.schema import SCHEMA_VERSION, TASK_NUMBERS, TASKS
 from rema_data.store.block import SPLITS, BlockKey
 
 law = settings(max_examples=60, deadline=None)
@@ -44,7 +44,7 @@ def manifests(draw: st.DrawFn) -> Manifest:
     """Manifests that say what they like, and contradict nothing."""
     name, older = draw(NAMES), draw(NAMES)
     keys = draw(st.lists(KEYS, min_size=1, max_size=4, unique=True))
-    keys.sort(key=lambda key: (key.round, list(TASKS).index(key.task), key.split))
+    keys.sort(key=lambda key: (key.round, TASK_NUMBERS[key.task], key.split))
     blocks, files = [], [FileEntry("LICENSE", draw(COUNTS), draw(SHAS), name)]
     for key in keys:
         holder = draw(st.sampled_from([name, older]))
