@@ -20,7 +20,7 @@ from rich.table import Table
 
 from benchmarks.results import finish, parser, target
 from benchmarks.situations import Case, draw_cases
-from evaluator.engines import Job, Shard
+from evaluator.engines import Job, JobBatch
 from evaluator.engines.process import ProcessEngine
 from evaluator.sim.simulator import Simulator
 
@@ -54,10 +54,10 @@ def two_workers(cases: list[Case], episodes: int) -> tuple[float, float]:
     """Largest sum of the resident memory of two workers, and of one of them, MB."""
     engine = ProcessEngine(workers=2)
     jobs = [Job(n, cases[n % len(cases)].situation, cases[n % len(cases)].action) for n in range(episodes)]
-    shards: list[Shard] = [tuple(jobs[start : start + SHARD]) for start in range(0, len(jobs), SHARD)]
+    batches: list[JobBatch] = [tuple(jobs[start : start + SHARD]) for start in range(0, len(jobs), SHARD)]
     most = largest = 0.0
     own = psutil.Process(os.getpid())
-    for number, _ in enumerate(engine.map(shards)):
+    for number, _ in enumerate(engine.map(batches)):
         if number % 5:
             continue
         sizes = [child.memory_info().rss / MB for child in own.children(recursive=True) if child.is_running()]

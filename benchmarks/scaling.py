@@ -35,7 +35,7 @@ from evaluator.runner.merge import merge_runs
 RUN = """
 import json, sys, time
 from pathlib import Path
-from evaluator.runner.shards import Part
+from evaluator.runner.shards import RunShard
 from evaluator.policy import resolve
 from evaluator.runner import EvaluationConfig, run_evaluation
 
@@ -57,7 +57,7 @@ class Clock:
 
 
 clock = Clock()
-options = {"shard": Part.parse(shard)} if shard else {}
+options = {"shard": RunShard.parse(shard)} if shard else {}
 config = EvaluationConfig(resolve(policy), task, Path(output), episodes=int(episodes), engine=engine,
                           workers=int(workers), audit_share=0.0, **options)
 run_evaluation(config, clock)

@@ -67,7 +67,8 @@ def collect(
     plan : CollectionPlan
     output : Path
         Folder of releases.
-    engine : {"process", "inline", "ray"}
+    engine : str
+        Name of an installed engine.
     workers : int, optional
         Every core by default, with ``ray`` every CPU of the cluster. No byte of the release depends on either.
     address : str, optional
@@ -119,7 +120,7 @@ def inherit(plan: CollectionPlan, output: Path) -> tuple[ReleaseFolder | None, l
         if number not in {block.round for block in blocks}:
             raise InputError(
                 f"{plan.path}: rounds[{number}] is to be reused, but {parent.manifest.name} has no round {number}",
-                hint="mend the plan's rounds",
+                hint="fix the plan's rounds",
                 round=number,
             )
     parent.require(blocks)
@@ -191,7 +192,7 @@ class _Collection:
         path = target / MANIFEST
         manifest = parse_manifest(path.read_bytes(), str(path)) if path.is_file() else None
         if manifest is None or manifest.plan_sha256 != self.plan_sha256():
-            what = "is no sealed release" if manifest is None else "was made by another plan, policy or simulator"
+            what = "is not a sealed release" if manifest is None else "was made by another plan, policy or simulator"
             raise RunMismatchError(
                 f"{target} {what}: a sealed release is never written to",
                 hint="give the plan another name, or choose another folder with --output",
@@ -248,13 +249,13 @@ class _Collection:
                 for chunk, episodes in player.play(missing, running, self.progress.advance):
                     work.commit(chunk, EncodedChunk.of(episodes))
         except PolicyFailureError as error:
-            error.hint = f"mend the policy, delete {self.work} and run the same command again"
+            error.hint = f"fix the policy, delete {self.work} and run the same command again"
             if any(self.work.glob("policy-*.log")):
                 error.hint = f"what it printed is in {self.work}/policy-*.log\n{error.hint}"
             raise
 
     def seal(self, work: WorkFolder) -> ReleaseFolder:
-        """Put the chunks together and seal the release."""
+        """Merge the chunks and seal the release."""
         staging = work.staging()
         self.progress.phase("seal", len(self.chunks))
         for block in self.plan.blocks:

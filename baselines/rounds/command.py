@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from evaluator.cli.engine_options import engine_options
+
 if TYPE_CHECKING:
     from baselines.rounds.collect import Collected
     from baselines.rounds.estimate import Estimate
@@ -22,9 +24,7 @@ __all__ = ["collect"]
 @click.option(
     "--output", type=click.Path(path_type=Path), default=Path("releases"), show_default=True, help="Folder of releases."
 )
-@click.option("--workers", type=click.IntRange(min=1), help="Simulation processes.  [default: one a core]")
-@click.option("--engine", type=click.Choice(["process", "inline", "ray"]), default="process", show_default=True)
-@click.option("--address", help="Of the Ray cluster, as HOST:PORT.  [default: RAY_ADDRESS, or the one of this machine]")
+@engine_options
 @click.option("--dry-run", is_flag=True, help="Print episodes, policies, expected time and size; collect nothing.")
 @click.option("--register", "publish", is_flag=True, help="Also enter the release in manifests/datasets.")
 @click.option("--json", "as_json", is_flag=True, help="Print one object.")

@@ -17,7 +17,7 @@ from baselines.rounds.behaviour import BehaviourPolicies
 from baselines.rounds.chunk import Chunk, EncodedChunk
 from baselines.rounds.planned import BlockPlan, CollectionPlan, PolicyUse
 from baselines.rounds.play import Player
-from evaluator.engines import Engine, default_workers, make_engine, worker_count
+from evaluator.engines import Engine, default_workers, engine_type, make_engine, worker_count
 from evaluator.runner import Backend, default_backend
 from rema_data.progress import Progress, Silent
 from rema_data.schema import Episode
@@ -106,8 +106,11 @@ def estimate(
         for kind, block in kinds.items():
             player = Player(plan.seed, backend, policies.of)
             rates[kind] = _measure(player, running, block, Path(folder), progress)
-    count = 0 if engine == "inline" else worker_count(engine, workers, address=address)
-    cores = count + 1 if engine == "ray" else default_workers()
+    count = worker_count(engine, workers, address=address)
+    place = engine_type(engine).place
+    if place == "here":
+        count = 0
+    cores = count + 1 if place == "cluster" else default_workers()
     return [rates[_kind(block)].of(block, count, cores) for block in plan.blocks]
 
 

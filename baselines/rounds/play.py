@@ -12,10 +12,12 @@ from dataclasses import dataclass
 
 from baselines.rounds.behaviour import Behaviour
 from baselines.rounds.chunk import Chunk
-from evaluator.engines import Engine, InfraError, Job, JobResult, Shard
-from evaluator.policy import ObservationBatch, PolicyFault
+from evaluator.engines import Engine, InfraError, Job, JobBatch, JobResult
+from evaluator.policy import PolicyFault
+from evaluator.rollout.ask import actions, ask
 from evaluator.rollout.backend import Backend
-from evaluator.run.plan import shards
+from evaluator.rollout.episode import first_step, next_step
+from evaluator.run.plan import job_batches
 from evaluator.sim.spawn import collection_generator, draw_episode
 from rema_data.errors import InfrastructureError, PolicyFailureError
 from rema_data.schema import Action, Episode, Observation, Placement, Scenario, Situation, Step
@@ -54,7 +56,8 @@ class _Open:
         self.chunk = chunk
         self.scenarios = scenarios
         self.steps: dict[int, list[Step]] = {index: [] for index in scenarios}
-        self.due = {index: scenario.first_situation() for index, scenario in scenarios.items()}  # of the next step
+        # Situations of the next step.
+        self.due = {index: first_step(scenario, "end-to-end") for index, scenario in scenarios.items()}
         self.flying = 0  # outcomes of the present step that are still to come
 
     def episodes(self, seed: int) -> list[Episode]:
@@ -86,7 +89,7 @@ class Player:
     def __init__(self, seed: int, backend: Backend, behaviour: Callable[[BlockKey, int], Behaviour]) -> None:
         self._seed, self._backend, self._behaviour = seed, backend, behaviour
         self._questions: deque[tuple[_Open, list[tuple[int, Situation]]]] = deque()
-        self._ready: deque[Shard] = deque()
+        self._ready: deque[JobBatch] = deque()
         self._flying: dict[int, _Asked] = {}
         self._open = 0
         self._number = 0
@@ -112,14 +115,14 @@ class Player:
         InfrastructureError
             Workers cannot be started, or one episode cost two of them.
         """
-        for results in engine.map(self._shards(iter(chunks))):
+        for results in engine.map(self._job_batches(iter(chunks))):
             for result in results:
                 done = self._take(result, advance)
                 if done is not None:
                     yield done.chunk, done.episodes(self._seed)
 
-    def _shards(self, chunks: Iterator[Chunk]) -> Iterator[Shard]:
-        """Work for the engine whenever it asks; an empty shard where there is none until a result comes in."""
+    def _job_batches(self, chunks: Iterator[Chunk]) -> Iterator[JobBatch]:
+        """Work for the engine whenever it asks; an empty batch where there is none until a result comes in."""
         while True:
             if self._ready:
                 yield self._ready.popleft()
@@ -152,17 +155,16 @@ class Player:
         step = situations[0].step
         behaviour = self._behaviour(opened.chunk.block, step)
         observations = [self._backend.observe(situation) for situation in situations]
-        valid = self._backend.valid_actions(opened.chunk.block.task, step)
-        question = ObservationBatch.of(situations[0], observations, valid)
-        answers = behaviour.process.act(question, situations if behaviour.process.privileged else None)
+        chosen = actions(
+            ask(behaviour.process, self._backend, situations, observations),
+            lambda position, fault: _no_action(behaviour, opened.chunk, indices[position], step, fault),
+        )
         jobs = []
-        for index, situation, observation, answer in zip(indices, situations, observations, answers, strict=True):
-            if isinstance(answer, PolicyFault):
-                raise _refused(behaviour, opened.chunk, index, step, answer)
+        for index, situation, observation, action in zip(indices, situations, observations, chosen, strict=True):
             key, self._number = self._number, self._number + 1
-            self._flying[key] = _Asked(opened, index, situation, observation, int(answer), behaviour)
-            jobs.append(Job(key, situation, int(answer)))
-        self._ready.extend(shards(jobs))
+            self._flying[key] = _Asked(opened, index, situation, observation, action, behaviour)
+            jobs.append(Job(key, situation, action))
+        self._ready.extend(job_batches(jobs))
 
     def _take(self, result: JobResult, advance: Callable[[int], None]) -> _Open | None:
         """Record a result; the chunk, where it was its last one."""
@@ -174,10 +176,11 @@ class Player:
         who = asked.behaviour
         step = Step(asked.situation, asked.observation, Action(asked.action), outcome, who.name, who.digest)
         opened.steps[asked.index].append(step)
-        if outcome.success and not asked.situation.last:
-            opened.due[asked.index] = opened.scenarios[asked.index].next_situation(asked.situation, outcome)
-        else:
+        following = next_step(opened.scenarios[asked.index], asked.situation, outcome)
+        if following is None:
             advance(1)
+        else:
+            opened.due[asked.index] = following
         opened.flying -= 1
         if opened.flying:
             return None
@@ -188,11 +191,11 @@ class Player:
         return opened
 
 
-def _refused(behaviour: Behaviour, chunk: Chunk, index: int, step: int, fault: PolicyFault) -> PolicyFailureError:
+def _no_action(behaviour: Behaviour, chunk: Chunk, index: int, step: int, fault: PolicyFault) -> PolicyFailureError:
     return PolicyFailureError(
         f"policy {behaviour.name} gave no action for step {step} of episode {index} of {chunk.block.path}: "
         f"{fault.reason}: {fault.detail}",
-        hint="mend the policy: what it recorded so far is then of another policy, and has to be played again",
+        hint="fix the policy: what it recorded so far is then of another policy, and has to be played again",
         policy=behaviour.name,
         episode=index,
         block=chunk.block.path,

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from evaluator.cli.engine_options import engine_options
 from evaluator.protocol import PROTOCOLS
 from rema_data.errors import InputError
 from rema_data.schema import TASKS
@@ -18,9 +19,7 @@ __all__ = ["evaluate"]
 @click.option("--task", required=True, type=click.Choice(list(TASKS)), help="What has to be done.")
 @click.option("--checkpoint", type=click.Path(path_type=Path), help="Weights, handed to the policy.")
 @click.option("--episodes", type=click.IntRange(min=1), default=10_000, show_default=True, help="First N scenarios.")
-@click.option("--workers", type=click.IntRange(min=1), help="Simulation processes.  [default: one a core]")
-@click.option("--engine", type=click.Choice(["process", "inline", "ray"]), default="process", show_default=True)
-@click.option("--address", help="Of a Ray cluster.  [default: the one that this machine belongs to]")
+@engine_options
 @click.option("--shard", metavar="I/N", help="Play this part of the scenarios; `rema merge` puts them together.")
 @click.option("--protocol", type=click.Choice(list(PROTOCOLS)), default="conditional", show_default=True)
 @click.option("--split", type=click.Choice(["test", "val"]), default="test", show_default=True)
@@ -67,10 +66,10 @@ def evaluate(
     from evaluator.policy.loading import check_checkpoint, resolve
     from evaluator.policy.shipped import shipped_checkpoint
     from evaluator.runner import EvaluationConfig, run_evaluation
-    from evaluator.runner.shards import Part
+    from evaluator.runner.shards import RunShard
 
     spec = resolve(policy)
-    part = None if shard is None else Part.parse(shard)
+    part = None if shard is None else RunShard.parse(shard)
     name = f"{spec.name}-{task}-{protocol}" + ("" if split == "test" else f"-{split}")
     if part is not None:
         name += f"-shard-{part.number}-of-{part.count}"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from evaluator.cli.engine_options import engine_options
 from rema_data.errors import InfrastructureError, InputError, IntegrityError
 
 if TYPE_CHECKING:
@@ -32,9 +33,7 @@ _FINDINGS = 20
     help="Share of the episodes, drawn at random, that is simulated again.",
 )
 @click.option("--seed", type=click.IntRange(min=0), help="Draw the episodes of an earlier replay.  [default: new ones]")
-@click.option("--workers", type=click.IntRange(min=1), help="Simulation processes.  [default: one a core]")
-@click.option("--engine", type=click.Choice(["process", "inline", "ray"]), default="process", show_default=True)
-@click.option("--address", help="Of a Ray cluster.  [default: the one that this machine belongs to]")
+@engine_options
 @click.option("--public-key", type=click.Path(path_type=Path), help="Ed25519 key that must have signed the run.")
 @click.option("--sign", "private_key", type=click.Path(path_type=Path), help="Ed25519 key to sign with if all is well.")
 @click.option("--json", "as_json", is_flag=True, help="Print one object.")

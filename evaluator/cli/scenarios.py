@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from rema_data.schema import TASKS
+
+if TYPE_CHECKING:
+    from evaluator.scenarios.policy_picks import Picker
 
 
 @click.command(name="scenarios")
@@ -39,21 +44,26 @@ def scenarios(
 
     What a picker prints is kept in the folder logs of REMA_HOME.
     """
+    from contextlib import nullcontext
+
     from evaluator.cli.progress import StderrProgress
     from evaluator.engines import default_workers
+    from evaluator.engines.child import process_pool
     from evaluator.policy.loading import check_checkpoint, resolve
     from evaluator.policy.shipped import shipped_checkpoint
-    from evaluator.scenarios.generation import Picker, write_lists
+    from evaluator.rollout.picks import open_picker
+    from evaluator.scenarios.generation import write_lists
     from rema_data.storage import rema_home
 
-    chosen = None
+    processes = workers or default_workers()
+    opened: AbstractContextManager[Picker | None] = nullcontext()
     if picker is not None:
         spec = resolve(picker)
         weights = check_checkpoint(checkpoint) or shipped_checkpoint(spec.name)
         # Not beside the lists: what lies in manifests/ is frozen and published.
-        chosen = Picker(spec, weights, rema_home() / "logs" / f"scenarios-{version}.log", device)
+        log = rema_home() / "logs" / f"scenarios-{version}.log"
+        opened = open_picker(spec, weights, device, log, processes)
     counts = {"test": test_count, "val": val_count}
-    with StderrProgress() as progress:
-        wanted = tasks or tuple(task for task in TASKS if task not in keep)
-        path = write_lists(version, wanted, counts, workers or default_workers(), progress, chosen, keep)
-    click.echo(path)
+    drawn = tasks or tuple(task for task in TASKS if task not in keep)
+    with StderrProgress() as progress, process_pool(processes) as pool, opened as chosen:
+        click.echo(write_lists(version, pool, drawn, counts, progress=progress, picker=chosen, keep=keep))

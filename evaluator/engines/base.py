@@ -9,7 +9,7 @@ import importlib
 import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 from rema_data.errors import InputError
 from rema_data.schema import Situation, StepOutcome
@@ -17,12 +17,13 @@ from rema_data.schema import Situation, StepOutcome
 __all__ = [
     "FINGERPRINT",
     "SIMULATOR",
+    "BatchResult",
     "Engine",
+    "EngineType",
     "InfraError",
     "Job",
+    "JobBatch",
     "JobResult",
-    "Shard",
-    "ShardResult",
     "StepSimulator",
     "default_workers",
     "load_attribute",
@@ -31,7 +32,7 @@ __all__ = [
 SIMULATOR = "evaluator.sim.simulator:Simulator"
 """The factory that workers call, as ``module:attribute``: a name crosses process borders, an object does not."""
 FINGERPRINT = "evaluator.sim.fingerprint:fingerprint"
-"""What tells the simulators of different machines apart, likewise."""
+"""What two simulators with the same outcomes have in common, likewise."""
 
 
 class StepSimulator(Protocol):
@@ -64,7 +65,7 @@ class Job:
     action: int
 
 
-Shard = tuple[Job, ...]
+JobBatch = tuple[Job, ...]
 """The unit of dispatch: more than a moment's work, little to lose."""
 
 
@@ -100,22 +101,58 @@ class JobResult:
     attempt: int = 1
 
 
-ShardResult = tuple[JobResult, ...]
-"""Results in the order in which they finished. A shard may come back in several parts, so that a kill loses little."""
+BatchResult = tuple[JobResult, ...]
+"""Results in the order in which they finished. A batch may come back in several parts, so that a kill loses little."""
 
 
 class Engine(Protocol):
-    """Maps shards to results, unordered, as they finish."""
+    """Maps batches of jobs to results, unordered, as they finish. ``evaluator.testing.engines`` tests what it keeps.
 
-    def map(self, shards: Iterable[Shard]) -> Iterator[ShardResult]:
+    An engine of your own is a class that takes what ``EngineType`` says. Declare it as an entry point of the group
+    ``rema.engines``; ``--engine NAME`` then finds it.
+    """
+
+    @property
+    def workers(self) -> int:
+        """How many simulators run at a time. An engine may connect to its cluster to find out."""
+        ...
+
+    def map(self, batches: Iterable[JobBatch]) -> Iterator[BatchResult]:
         """Run every job once and yield every key exactly once, in groups.
 
-        An empty shard means: nothing at present, ask again after the next results.
+        An empty batch means: nothing at present, ask again after the next results.
         """
         ...
 
     def close(self) -> None:
         """Stop whatever runs. An engine can be used again afterwards."""
+        ...
+
+
+class EngineType(Protocol):
+    """The class of an engine. Making one starts nothing; a library that is missing is an ``InputError``.
+
+    Attributes
+    ----------
+    place : {"here", "machine", "cluster"}
+        Where simulators run: in the calling process, in other processes of this machine, or on other machines. Only
+        the last kind is given an address.
+    """
+
+    place: ClassVar[str]
+
+    def __call__(self, factory: str, workers: int | None, *, address: str | None) -> Engine:
+        """An engine.
+
+        Parameters
+        ----------
+        factory : str
+            ``module:attribute`` of a callable that returns a ``StepSimulator``; an object would not cross processes.
+        workers : int or None
+            Simulators at a time, positive; None for as many as the engine has room for.
+        address : str or None
+            Of the cluster.
+        """
         ...
 
 

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import socket
 import subprocess
 import sys
 import tempfile
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
 from evaluator.engines.signals import signal_name
-from evaluator.engines.worker import RAISED, VALUE
+from evaluator.engines.worker import RAISED, VALUE, die_with
 from rema_data.errors import InfrastructureError
 
-__all__ = ["Child", "call_in_child"]
+__all__ = ["Child", "call_in_child", "process_pool"]
 
 THREAD_CAPS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 _TAIL_BYTES = 2000
@@ -114,3 +116,9 @@ def call_in_child(target: str, timeout_s: float = 120.0) -> Any:
         target=target,
         detail=reason,
     )
+
+
+def process_pool(workers: int) -> ProcessPoolExecutor:
+    """Fresh interpreters for Python calls, which end with this process."""
+    spawn = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(workers, mp_context=spawn, initializer=die_with, initargs=(os.getpid(),))

@@ -8,11 +8,11 @@ from collections.abc import Iterable, Iterator
 
 from evaluator.engines.base import (
     SIMULATOR,
+    BatchResult,
     InfraError,
     Job,
+    JobBatch,
     JobResult,
-    Shard,
-    ShardResult,
     StepSimulator,
     load_attribute,
 )
@@ -28,20 +28,25 @@ class InlineEngine:
     ----------
     factory : str
         ``module:attribute`` of a callable that returns a simulator.
+    workers, address
+        As ``EngineType`` has them; neither changes anything.
 
     Notes
     -----
     A simulator that kills its process kills this one; ``ProcessEngine`` survives that.
     """
 
-    def __init__(self, factory: str = SIMULATOR) -> None:
+    place = "here"
+    workers = 1
+
+    def __init__(self, factory: str = SIMULATOR, workers: int | None = None, *, address: str | None = None) -> None:
         self._factory = factory
         self._simulator: StepSimulator | None = None
 
-    def map(self, shards: Iterable[Shard]) -> Iterator[ShardResult]:
-        """Run the shards in the order given; see ``Engine.map``."""
-        for shard in shards:
-            for job in shard:
+    def map(self, batches: Iterable[JobBatch]) -> Iterator[BatchResult]:
+        """Run the jobs in the order given; see ``Engine.map``."""
+        for batch in batches:
+            for job in batch:
                 yield (self._run(job),)
 
     def _run(self, job: Job) -> JobResult:

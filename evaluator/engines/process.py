@@ -10,7 +10,7 @@ from multiprocessing.connection import wait
 
 import psutil
 
-from evaluator.engines.base import SIMULATOR, InfraError, Job, JobResult, Shard, ShardResult, default_workers
+from evaluator.engines.base import SIMULATOR, BatchResult, InfraError, Job, JobBatch, JobResult, default_workers
 from evaluator.engines.child import Child
 from evaluator.engines.worker import DONE, RAISED, READY
 from rema_data.errors import InfrastructureError
@@ -20,7 +20,7 @@ __all__ = ["ProcessEngine"]
 ATTEMPTS = 2
 """An episode that costs this many workers is given up."""
 _LOW_WATER = 5
-"""A worker is given its next shard when this many jobs are left, so that it never waits for its parent."""
+"""A worker is given its next batch when this many jobs are left, so that it never waits for its parent."""
 _FAILED_STARTS = 3
 """As many workers in a row that die before they are ready mean that none will be."""
 
@@ -57,7 +57,7 @@ class _Worker:
 
 
 class ProcessEngine:
-    """Runs shards in worker processes, one simulator each.
+    """Runs batches in worker processes, one simulator each.
 
     Parameters
     ----------
@@ -65,24 +65,29 @@ class ProcessEngine:
         ``module:attribute`` of a callable that returns a simulator; called once in every worker.
     workers : int, optional
         Number of processes; every core this process may use by default.
+    address
+        As ``EngineType`` has it; changes nothing.
     episode_limit_s : float
         A worker that is silent for this long within one episode (or while it starts) is killed.
     growth_limit_bytes : int
-        A worker whose resident memory grew by more than this since its start is replaced between shards.
+        A worker whose resident memory grew by more than this since its start is replaced between batches.
 
     Notes
     -----
     A dead worker's unfinished jobs go to others. The job it died in is tried once more, first and alone in a fresh
     worker; if that dies too, the job's result is an ``InfraError`` and the run goes on. The cost beside the
-    simulator is one message per job, some tens of microseconds. Shards should stay below about 200 jobs, so that
+    simulator is one message per job, some tens of microseconds. Batches should stay below about 200 jobs, so that
     handing one over never waits for the worker.
     """
+
+    place = "machine"
 
     def __init__(
         self,
         factory: str = SIMULATOR,
         workers: int | None = None,
         *,
+        address: str | None = None,
         episode_limit_s: float = 120.0,
         growth_limit_bytes: int = 200 * 2**20,
     ) -> None:
@@ -94,18 +99,18 @@ class ProcessEngine:
         self._seats: dict[str, _Worker] = {}
         self._deaths: dict[int, int] = {}
         self._suspects: deque[Job] = deque()
-        self._returned: deque[Shard] = deque()
+        self._returned: deque[JobBatch] = deque()
         self._failed_starts = 0
 
-    def map(self, shards: Iterable[Shard]) -> Iterator[ShardResult]:
-        """Run the shards; see ``Engine.map``.
+    def map(self, batches: Iterable[JobBatch]) -> Iterator[BatchResult]:
+        """Run the batches; see ``Engine.map``.
 
         Raises
         ------
         InfrastructureError
             No worker can be started.
         """
-        source = iter(shards)
+        source = iter(batches)
         self._deaths.clear()
         self._suspects.clear()
         self._returned.clear()
@@ -130,10 +135,10 @@ class ProcessEngine:
             worker.child.close_log()
         self._seats.clear()
 
-    def _next_shard(self, source: Iterator[Shard]) -> Shard | None:
+    def _next_batch(self, source: Iterator[JobBatch]) -> JobBatch | None:
         return self._returned.popleft() if self._returned else next(source, None)
 
-    def _dispatch(self, source: Iterator[Shard]) -> bool:
+    def _dispatch(self, source: Iterator[JobBatch]) -> bool:
         """Fill the seats and give work to who has little; whether anything is under way."""
         for name in [f"w{seat}" for seat in range(self.workers)]:
             worker = self._seats.get(name)
@@ -144,9 +149,9 @@ class ProcessEngine:
                 worker = worker or self._start(name)
                 worker.give((self._suspects.popleft(),), alone=True)
                 continue
-            shard = self._next_shard(source)
-            if shard:
-                (worker or self._start(name)).give(shard)
+            batch = self._next_batch(source)
+            if batch:
+                (worker or self._start(name)).give(batch)
         if self._suspects and not any(worker.jobs for worker in self._seats.values()):
             self._retire(next(iter(self._seats.values())))  # idle and used: make room for a fresh one
             return self._dispatch(source)

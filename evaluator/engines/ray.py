@@ -1,4 +1,4 @@
-"""Many machines: the shards of a run through an existing Ray cluster, by actors that hold one simulator each.
+"""Many machines: the batches of a run through an existing Ray cluster, by actors that hold one simulator each.
 
 A simulator that dies is the business of the machine that it dies on (``ray_worker``): it is replaced there, and counted
 as the process engine counts. What is decided here is what happens when a machine, or the actor on it, goes away.
@@ -18,7 +18,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from typing import Any
 
-from evaluator.engines.base import SIMULATOR, InfraError, JobResult, Shard, ShardResult
+from evaluator.engines.base import FINGERPRINT, SIMULATOR, BatchResult, InfraError, JobBatch, JobResult
 from evaluator.engines.child import call_in_child
 from evaluator.engines.process import ATTEMPTS
 from evaluator.engines.ray_worker import RayWorker
@@ -29,7 +29,7 @@ __all__ = ["ADDRESS", "RayEngine"]
 ADDRESS = "auto"
 """Address of the cluster by default: what ``RAY_ADDRESS`` says, else the one that this machine is part of."""
 _DEPTH = 2
-"""Shards given to an actor at a time, so that it never waits for the next one."""
+"""Batches given to an actor at a time, so that it never waits for the next one."""
 _POLL_S = 1.0
 _START_S = 600.0
 """As long as nothing runs, an actor is waited for this long: a cluster may have to start a machine first."""
@@ -41,17 +41,17 @@ _KNOCK_S = 10.0
 
 @dataclasses.dataclass(slots=True, eq=False)
 class _Seat:
-    """One actor and the shards it was given, in the order in which it runs them."""
+    """One actor and the batches it was given, in the order in which it runs them."""
 
     name: str
     actor: Any
     start: Any
-    calls: deque[tuple[Any, Shard]] = dataclasses.field(default_factory=deque)
+    calls: deque[tuple[Any, JobBatch]] = dataclasses.field(default_factory=deque)
     ready: bool = False
 
 
 class RayEngine:
-    """Runs shards on a Ray cluster.
+    """Runs batches on a Ray cluster.
 
     Parameters
     ----------
@@ -63,7 +63,8 @@ class RayEngine:
         Of the cluster, as ``ray.init`` takes it; ``local`` starts one on this machine for as long as the engine lives.
         A process that is connected already stays so.
     same : str, optional
-        ``module:attribute`` of a call whose value must be the same on every machine as here.
+        ``module:attribute`` of a call whose value must be the same on every machine as here; the fingerprint of the
+        simulator by default, so that outcomes of another build never enter a run.
     episode_limit_s : float
         As in ``ProcessEngine``.
 
@@ -81,6 +82,8 @@ class RayEngine:
     Everything a machine needs is the same version of this package.
     """
 
+    place = "cluster"
+
     def __init__(
         self,
         factory: str = SIMULATOR,
@@ -94,11 +97,13 @@ class RayEngine:
         self.replaced = 0
         self._workers = workers
         self._factory, self._address, self._same, self._limit_s = factory, address or ADDRESS, same, episode_limit_s
+        if same is None and factory == SIMULATOR:
+            self._same = FINGERPRINT
         self._expected: Any = None
         self._ours = False  # whether the connection is to be closed again
         self._make_actor: Any = None
         self._seats: list[_Seat] = []
-        self._waiting: deque[Shard] = deque()
+        self._waiting: deque[JobBatch] = deque()
         self._losses: dict[int, int] = {}
         self._failed_starts = 0
         self._may_start = self._idle_since = 0.0
@@ -118,8 +123,8 @@ class RayEngine:
             self._workers = max(1, int(self._ray.cluster_resources().get("CPU", 1)))
         return self._workers
 
-    def map(self, shards: Iterable[Shard]) -> Iterator[ShardResult]:
-        """Run the shards; see ``Engine.map``.
+    def map(self, batches: Iterable[JobBatch]) -> Iterator[BatchResult]:
+        """Run the batches; see ``Engine.map``.
 
         Raises
         ------
@@ -129,7 +134,7 @@ class RayEngine:
             No actor can be started, or a machine of the cluster simulates differently from this one.
         """
         self._connect()
-        source = iter(shards)
+        source = iter(batches)
         self._waiting.clear()
         self._losses.clear()
         self._idle_since = time.monotonic()
@@ -187,24 +192,24 @@ class RayEngine:
         with suppress(Exception):  # it may be gone, and so may the cluster
             self._ray.kill(seat.actor)
 
-    def _dispatch(self, source: Iterator[Shard]) -> bool:
+    def _dispatch(self, source: Iterator[JobBatch]) -> bool:
         """Give work to the actors that have little, start those that there is work for; whether any is under way."""
         for seat in self._seats:
-            while self._has_room(seat) and (shard := self._next_shard(source)):
-                seat.calls.append((seat.actor.run.remote(shard), shard))
+            while self._has_room(seat) and (batch := self._next_batch(source)):
+                seat.calls.append((seat.actor.run.remote(batch), batch))
         starting = sum(not seat.ready for seat in self._seats)
         while len(self._seats) < self.workers and time.monotonic() >= self._may_start:
             if starting >= len(self._waiting):
-                shard = next(source, None)  # one for every actor that is started
-                if not shard:
+                batch = next(source, None)  # one for every actor that is started
+                if not batch:
                     break
-                self._waiting.append(shard)
+                self._waiting.append(batch)
             self._start()
             starting += 1
         return bool(self._waiting) or any(seat.calls for seat in self._seats)
 
     def _has_room(self, seat: _Seat) -> bool:
-        """Whether an actor takes another shard. Who was lost before runs alone: the next one may take the actor with
+        """Whether an actor takes another batch. Who was lost before runs alone: the next one may take the actor with
         it before the result of the first has been sent, and that one would be given up.
         """
         if not seat.ready or not seat.calls:
@@ -212,10 +217,10 @@ class RayEngine:
         alone = self._was_lost(seat.calls[-1][1]) or bool(self._waiting and self._was_lost(self._waiting[0]))
         return len(seat.calls) < _DEPTH and not alone
 
-    def _was_lost(self, shard: Shard) -> bool:
-        return any(job.key in self._losses for job in shard)
+    def _was_lost(self, batch: JobBatch) -> bool:
+        return any(job.key in self._losses for job in batch)
 
-    def _next_shard(self, source: Iterator[Shard]) -> Shard | None:
+    def _next_batch(self, source: Iterator[JobBatch]) -> JobBatch | None:
         return self._waiting.popleft() if self._waiting else next(source, None)
 
     def _start(self) -> None:
@@ -224,7 +229,7 @@ class RayEngine:
         self._number += 1
 
     def _collect(self) -> list[JobResult]:
-        """Wait for a while for starts, results and losses; results of every shard that has come back."""
+        """Wait for a while for starts, results and losses; results of every batch that has come back."""
         if any(seat.ready for seat in self._seats):
             self._idle_since = time.monotonic()
         awaited = [ref for seat in self._seats for ref in self._refs(seat)]
@@ -273,13 +278,13 @@ class RayEngine:
             raise InfrastructureError(
                 f"a machine of the Ray cluster simulates differently from this one: {self._same} is {value} there "
                 f"and {self._expected} here",
-                hint="install the same versions on machines of one kind, or evaluate one part on each kind (--shard)",
+                hint="install the same versions on machines of one kind, or evaluate one part on each kind (--batch)",
                 expected=self._expected,
                 got=value,
             )
 
     def _lose(self, seat: _Seat, detail: str) -> list[JobResult]:
-        """Fill the place of a lost actor, hand its shards on, and give up what has been lost before."""
+        """Fill the place of a lost actor, hand its batches on, and give up what has been lost before."""
         self._seats.remove(seat)
         self._kill(seat)
         self.replaced += 1
@@ -292,7 +297,7 @@ class RayEngine:
                     hint="look at `ray status` and at the logs of its machines",
                     detail=detail,
                 )
-        running, *queued = [shard for _, shard in seat.calls] or [()]
+        running, *queued = [batch for _, batch in seat.calls] or [()]
         self._waiting.extendleft(queued)
         lost = []
         for job in running:

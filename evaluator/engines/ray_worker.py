@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from evaluator.engines.base import Shard, ShardResult
+from evaluator.engines.base import BatchResult, JobBatch
 from evaluator.engines.child import call_in_child
 from evaluator.engines.process import ProcessEngine
 
@@ -15,7 +15,7 @@ __all__ = ["RayWorker"]
 
 
 class RayWorker:
-    """Runs shards one after the other, each in a simulation process that may crash, hang or leak.
+    """Runs batches one after the other, each in a simulation process that may crash, hang or leak.
 
     Parameters
     ----------
@@ -33,6 +33,6 @@ class RayWorker:
         """Value of the call that ``same`` names, on this machine: the actor is there once this has come back."""
         return None if same is None else call_in_child(same)
 
-    def run(self, shard: Shard) -> ShardResult:
-        """Results of all jobs of a shard."""
-        return tuple(result for part in self._engine.map((shard,)) for result in part)
+    def run(self, batch: JobBatch) -> BatchResult:
+        """Results of all jobs of a batch."""
+        return tuple(result for part in self._engine.map((batch,)) for result in part)

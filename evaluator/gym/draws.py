@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from evaluator.rollout.episode import frozen_scenario
 from evaluator.run.plan import Plan
 from evaluator.scenarios import SPLITS, ScenarioList, load_list, scenario_id
 from evaluator.sim.reference import prepare
@@ -20,12 +21,12 @@ __all__ = ["DOMAINS", "Draws", "Start"]
 
 TRAIN = "train"
 DOMAINS = (TRAIN, *SPLITS)
-"""Where scenarios come from: drawn anew, or one of the frozen lists."""
+"""Where scenarios come from: drawn now, or one of the frozen lists."""
 _NAME = re.compile(r"(?P<version>[^/]+)/(?P<task>[^/]+)/(?P<split>[^/]+)/(?P<index>\d+)")
 
 
 class Start(NamedTuple):
-    """A scenario and its name, which is empty where it was drawn anew."""
+    """A scenario and its name, which is empty where it was drawn now."""
 
     name: str
     scenario: Scenario
@@ -52,7 +53,7 @@ class Draws:
     def __init__(self, task: str, domain: str, protocol: str) -> None:
         if domain not in DOMAINS:
             raise InputError(f"unknown domain {domain!r}", hint=f"choose one of: {', '.join(DOMAINS)}", domain=domain)
-        self._task, self._domain = task, domain
+        self._task, self._domain, self._protocol = task, domain, protocol
         self._plan = Plan((), task, protocol)
         self._lists: dict[str, ScenarioList] = {}
 
@@ -93,7 +94,7 @@ class Draws:
         parts = _NAME.fullmatch(wanted)
         if parts is None or parts["task"] != self._task:
             raise InputError(
-                f"{wanted!r} is no scenario of {self._task}",
+                f"{wanted!r} is not a scenario of {self._task}",
                 hint=f"name one like {scenario_id('v1', Scenario(self._task, 'val', 42, ()))}",
                 scenario=wanted,
             )
@@ -113,17 +114,5 @@ class Draws:
 
     def _frozen(self, split: str, index: int, version: str | None = None) -> Start:
         found = self._list(split, version)
-        if not 0 <= index < len(found.scenarios):
-            raise InputError(
-                f"there is no scenario {index} in the {split} list of {self._task}",
-                hint=f"choose one from 0 to {len(found.scenarios) - 1}",
-                index=index,
-            )
-        scenario = found.scenarios[index]
-        if not self._plan.eligible(scenario):
-            raise InputError(
-                f"scenario {index} has no tools in hand, so its last step has no start",
-                hint='choose another one, or make the environment with protocol="end-to-end"',
-                index=index,
-            )
+        scenario = frozen_scenario(found, index, self._protocol)
         return Start(scenario_id(found.version, scenario), scenario)

@@ -12,13 +12,15 @@ from gymnasium import spaces
 from evaluator.gym.draws import TRAIN, Draws
 from evaluator.protocol import PROTOCOLS
 from evaluator.render.photographer import Camera
+from evaluator.rollout.ask import attempt, question
+from evaluator.rollout.backend import default_backend
+from evaluator.rollout.episode import first_step, next_step
 from evaluator.run.records import POLICY_FAULT
-from evaluator.sim.observation import SLAB_M, observe
-from evaluator.sim.reach import valid_actions
+from evaluator.sim.observation import SLAB_M
 from evaluator.sim.simulator import Simulator
 from rema_data import grid
 from rema_data.errors import InputError
-from rema_data.schema import HEIGHT_STEP_M, TASKS, Scenario, Situation, StepOutcome, check_task
+from rema_data.schema import HEIGHT_STEP_M, TASKS, Scenario, Situation, check_task
 
 __all__ = ["TaskEnv"]
 
@@ -81,14 +83,15 @@ class TaskEnv(gymnasium.Env[dict[str, Any], np.int64]):
                 "step": spaces.Discrete(len(steps)),
             }
         )
-        self._conditional = protocol == "conditional"
+        self._protocol = protocol
+        self._backend = default_backend()
         self._draws = Draws(task, domain, protocol)
         self._simulator = Simulator()
         self._camera: Camera | None = None
         self._name = ""
         self._scenario: Scenario | None = None
         self._situation: Situation | None = None
-        self._action: int | None = None  # of the step that ended the episode
+        self._action: int | None = None  # that was carried out in the step that ended the episode
         self._ended = True
 
     def reset(
@@ -121,7 +124,7 @@ class TaskEnv(gymnasium.Env[dict[str, Any], np.int64]):
         else:
             self._name, scenario = self._draws.named(wanted)
         self._scenario = scenario
-        self._situation = scenario.last_situation() if self._conditional else scenario.first_situation()
+        self._situation = first_step(scenario, self._protocol)
         self._action, self._ended = None, False
         return self._observation(self._situation), self._info(self._situation)
 
@@ -144,12 +147,13 @@ class TaskEnv(gymnasium.Env[dict[str, Any], np.int64]):
             raise gymnasium.error.ResetNeeded("the episode has ended: call reset()")
         index = self._index(action)
         situation = self._situation
-        outcome = self._outcome(situation, index)
-        self._ended = situation.last or not outcome.success
-        if self._ended:
-            self._action = index
+        outcome = attempt(self._simulator.run, self._backend, situation, index)
+        following = next_step(self._scenario, situation, outcome)
+        self._ended = following is None
+        if following is None:
+            self._action = None if outcome is POLICY_FAULT else index
         else:
-            self._situation = self._scenario.next_situation(situation, outcome)
+            self._situation = following
         won = outcome.success and situation.last
         info = self._info(self._situation) | {
             "outcome": "success" if outcome.failure is None else outcome.failure.value,
@@ -164,7 +168,7 @@ class TaskEnv(gymnasium.Env[dict[str, Any], np.int64]):
             return None
         if self._camera is None:
             self._camera = Camera()
-        if self._action is None or not valid_actions(self._situation.task, self._situation.step).flat[self._action]:
+        if self._action is None:
             return self._camera.before(self._situation)
         return self._camera.after(self._situation, self._action)
 
@@ -179,23 +183,18 @@ class TaskEnv(gymnasium.Env[dict[str, Any], np.int64]):
         value = np.asarray(action)
         if value.ndim or not np.issubdtype(value.dtype, np.integer) or not 0 <= value < grid.ACTIONS:
             raise InputError(
-                f"{action!r} is no action",
+                f"{action!r} is not an action",
                 hint=f"give a grid index from 0 to {grid.ACTIONS - 1}: (i * 64 + j) * 16 + k",
                 action=repr(action),
             )
         return int(value)
 
-    def _outcome(self, situation: Situation, action: int) -> StepOutcome:
-        if not valid_actions(situation.task, situation.step).flat[action]:
-            return POLICY_FAULT
-        return self._simulator.run(situation, action)
-
     def _observation(self, situation: Situation) -> dict[str, Any]:
-        seen = observe(situation)
+        seen = question(self._backend, [situation])
         return {
-            "scene": seen.scene_m(),
-            "end_effector": np.ascontiguousarray(seen.end_effector()),
-            "valid": valid_actions(situation.task, situation.step).astype(np.int8),
+            "scene": seen.scene[0],
+            "end_effector": np.ascontiguousarray(seen.end_effector[0]),
+            "valid": seen.valid[0].astype(np.int8),
             "step": np.int64(situation.step),
         }
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evaluator.engines import InfraError
+from evaluator.engines import InfraError, check_engine
 from evaluator.engines.child import call_in_child
 from evaluator.replay.checks import (
     invalid_actions,
@@ -88,8 +88,7 @@ def replay(
     """
     if not 0 <= fraction <= 1:
         raise InputError(f"a fraction of {fraction}", hint="give a share from 0 to 1, such as 0.02")
-    if address is not None and engine != "ray":
-        raise InputError("--address is for the ray engine", hint="add --engine ray, or drop --address")
+    check_engine(engine, workers, address)
     evidence = read_evidence(folder)
     job = _Replay(evidence, fraction, seed, progress or Silent(), backend or default_backend())
     job.check_signature(public_key)

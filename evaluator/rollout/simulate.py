@@ -1,4 +1,4 @@
-"""Phase three of a step: the recorded actions through an engine, the outcomes into the records."""
+"""Simulating recorded actions: through an engine, the outcomes into the records."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from evaluator.engines import Engine, InfraError, Job, make_engine
-from evaluator.run.plan import arrange, shards
+from evaluator.run.plan import arrange, job_batches
 from evaluator.run.records import Ledger, Records, Simulated
 from rema_data.errors import InfrastructureError
 from rema_data.progress import Progress
@@ -70,7 +70,7 @@ def simulate_jobs(
     ordered = arrange(jobs, order, [job.key for job in jobs])
     running: Engine = make_engine(engine, workers, simulator, address=address)
     with closing(running):
-        for results in running.map(shards(ordered)):
+        for results in running.map(job_batches(ordered)):
             records.add_outcomes(
                 Simulated(
                     *steps[result.key], result.outcome, result.seconds, result.worker, result.attempt, records.segment
@@ -118,7 +118,7 @@ def check_infrastructure(ledger: Ledger, summary: dict[str, Any], folder: Path) 
             f"{summary['infra_errors']} of {summary['episodes']} episodes were lost to the infrastructure "
             f"(limit {INFRA_LIMIT:.1%}), the first one step {step} of scenario {index}: {error.reason}: "
             f"{error.detail.strip().splitlines()[-1]}; the success rate lies between {low:.1%} and {high:.1%}",
-            hint="run the same command again: it tries them once more",
+            hint="run the same command again: it tries them again",
             infra_errors=summary["infra_errors"],
             folder=str(folder),
         )

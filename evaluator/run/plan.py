@@ -6,14 +6,14 @@ import hashlib
 from collections.abc import Iterator, Sequence
 from typing import TypeVar
 
-from evaluator.engines import Job, Shard
+from evaluator.engines import Job, JobBatch
 from evaluator.run.records import Records
 from evaluator.scenarios import reference_pinch, reference_tools
 from rema_data.schema import TASKS, Scenario, Situation, StepOutcome
 
-__all__ = ["Plan", "arrange", "shards"]
+__all__ = ["Plan", "arrange", "job_batches"]
 
-SHARD_JOBS = 25
+BATCH_JOBS = 25
 _ORDER_KEY = b"rema simulation order v1"
 _T = TypeVar("_T")
 
@@ -73,7 +73,7 @@ def arrange(items: Sequence[_T], order: str, keys: Sequence[int]) -> list[_T]:
     return list(items) if order == "forward" else list(reversed(items))
 
 
-def shards(jobs: Sequence[Job]) -> Iterator[Shard]:
+def job_batches(jobs: Sequence[Job]) -> Iterator[JobBatch]:
     """Jobs in groups of 25: seconds of work, little to lose."""
-    for start in range(0, len(jobs), SHARD_JOBS):
-        yield tuple(jobs[start : start + SHARD_JOBS])
+    for start in range(0, len(jobs), BATCH_JOBS):
+        yield tuple(jobs[start : start + BATCH_JOBS])

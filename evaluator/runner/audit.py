@@ -1,4 +1,4 @@
-"""The determinism audit: 1 % of a run once more, with nothing equal but the observations and the actions.
+"""The determinism audit: 1 % of a run again, with nothing equal but the observations and the actions.
 
 The policy is asked again in a new process, in batches of other sizes and companions; the recorded actions are simulated
 again in a new process, in another order. A policy that remembers earlier questions or answers by position shows as
@@ -11,21 +11,18 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from evaluator.engines import Job
-from evaluator.policy import ObservationBatch, PolicyFault
-from evaluator.rollout.backend import PolicyProcess
+from evaluator.rollout.ask import record_answers
+from evaluator.rollout.backend import Backend, PolicyProcess
 from evaluator.run.plan import Plan
-from evaluator.run.records import Answered, Ledger, Records, same_outcome
+from evaluator.run.records import Ledger, Records, same_outcome
 from evaluator.run.tables import verdict
 from evaluator.statistics import clopper_pearson
-from rema_data.schema import Observation, Situation, StepOutcome
+from rema_data.schema import Situation, StepOutcome
 
 __all__ = ["Repeat", "ask_again", "audit_summary", "jobs_again", "repeats"]
 
@@ -63,12 +60,7 @@ def _rank(index: int) -> bytes:
 
 
 def ask_again(
-    policy: PolicyProcess,
-    wanted: Iterable[Repeat],
-    batch_size: int,
-    observe: Callable[[Situation], Observation],
-    valid_actions: Callable[[str, int], npt.NDArray[np.bool_]],
-    again: Ledger,
+    policy: PolicyProcess, backend: Backend, wanted: Iterable[Repeat], batch_size: int, again: Ledger
 ) -> Iterator[int]:
     """Ask the policy about ``wanted`` and record the answers in ``again``.
 
@@ -76,11 +68,10 @@ def ask_again(
     ----------
     policy : PolicyProcess
         A fresh one.
+    backend : Backend
     wanted : iterable of Repeat
     batch_size : int
         Of the run; the questions here have another size.
-    observe, valid_actions : callable
-        See ``Backend``.
     again : Ledger
         Of the audit.
 
@@ -94,19 +85,11 @@ def ask_again(
     for repeat in wanted:
         if (repeat.index, repeat.step) not in again.answers:
             by_step.setdefault(repeat.step, []).append(repeat)
-    for step, of_step in by_step.items():
+    for of_step in by_step.values():
         for start in range(0, len(of_step), size):
             batch = of_step[start : start + size]
-            situations = tuple(repeat.situation for repeat in batch)
-            valid = valid_actions(situations[0].task, step)
-            question = ObservationBatch.of(situations[0], [observe(situation) for situation in situations], valid)
-            answers = policy.act(question, situations if policy.privileged else None)
-            again.add_answers(
-                Answered(repeat.index, step, None, str(answer.reason), answer.detail)
-                if isinstance(answer, PolicyFault)
-                else Answered(repeat.index, step, int(answer))
-                for repeat, answer in zip(batch, answers, strict=True)
-            )
+            indices, situations = [one.index for one in batch], [one.situation for one in batch]
+            record_answers(policy, backend, indices, situations, again)
             yield len(batch)
 
 
@@ -122,7 +105,7 @@ def jobs_again(wanted: Sequence[Repeat], ledger: Records, again: Records) -> lis
 
 
 def audit_summary(wanted: Sequence[Repeat], ledger: Records, again: Records) -> dict[str, Any]:
-    """How often the repeats came out otherwise, ready for JSON.
+    """How often the repeats differed, ready for JSON.
 
     Parameters
     ----------

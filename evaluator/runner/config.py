@@ -6,17 +6,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evaluator.engines import ENGINES
+from evaluator.engines import check_engine
+from evaluator.protocol import PROTOCOLS
 from rema_data.errors import InputError
 from rema_data.schema import check_task
 
 if TYPE_CHECKING:
     from evaluator.policy.loading import PolicySpec
-    from evaluator.runner.shards import Part
+    from evaluator.runner.shards import RunShard
 
-__all__ = ["ORDERS", "PROTOCOLS", "EvaluationConfig", "EvaluationResult"]
+__all__ = ["ORDERS", "EvaluationConfig", "EvaluationResult"]
 
-PROTOCOLS = ("conditional", "end-to-end")
 MAX_BATCH = 4096
 """Observations in one question: about a gigabyte on either side."""
 ORDERS = ("shuffled", "forward", "reverse")
@@ -41,13 +41,14 @@ class EvaluationConfig:
     split : {"test", "val"}
     episodes : int
         The first so many scenarios of the list.
-    engine : {"process", "inline", "ray"}
+    engine : str
+        Name of an installed engine: ``process``, ``inline``, ``ray``, ...
     workers : int or None
         Every core by default; with Ray, of the whole cluster.
     address : str or None
-        Of the Ray cluster.
-    shard : Part or None
-        Play these of the scenarios only: ``evaluator.runner.merge`` puts the parts together.
+        Of the cluster.
+    shard : RunShard or None
+        Play these of the scenarios only; ``evaluator.runner.merge`` merges the shards.
     batch_size : int
         Observations in one question to the policy. Batches are fixed by scenario order, also after a resume.
     order : {"shuffled", "forward", "reverse"}
@@ -79,26 +80,25 @@ class EvaluationConfig:
     audit_share: float = AUDIT_SHARE
     sandbox: str | None = None
     address: str | None = None
-    shard: Part | None = None
+    shard: RunShard | None = None
 
     def __post_init__(self) -> None:
         check_task(self.task)
-        for name, allowed in (("protocol", PROTOCOLS), ("engine", ENGINES), ("order", ORDERS)):
+        for name, allowed in (("protocol", PROTOCOLS), ("order", ORDERS)):
             if getattr(self, name) not in allowed:
                 raise InputError(
                     f"unknown {name} {getattr(self, name)!r}", hint=f"choose one of: {', '.join(allowed)}", field=name
                 )
-        for name in ("episodes", "workers", "batch_size"):
+        check_engine(self.engine, self.workers, self.address)
+        for name in ("episodes", "batch_size"):
             value = getattr(self, name)
-            if value is not None and value < 1:
+            if value < 1:
                 flag = name.replace("_", "-")
                 raise InputError(f"--{flag} {value} is not a positive number", hint="give 1 or more", field=name)
         if not 0 <= self.audit_share <= 1:
-            raise InputError(f"audit_share {self.audit_share} is no share", hint="give 0 to 1", field="audit_share")
+            raise InputError(f"audit_share {self.audit_share} is not a share", hint="give 0 to 1", field="audit_share")
         if self.batch_size > MAX_BATCH:
             raise InputError(f"--batch-size {self.batch_size} is too large", hint=f"give {MAX_BATCH} or less")
-        if self.address is not None and self.engine != "ray":
-            raise InputError("--address is for the ray engine", hint="add --engine ray, or drop --address")
         if self.shard is not None:
             self.shard.indices(self.episodes, self.batch_size)
 

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-import numpy.typing as npt
-
-from evaluator.policy import ObservationBatch, PolicyFault
-from evaluator.rollout.backend import PolicyProcess
-from evaluator.run.records import Answered, Ledger
-from evaluator.runner.observation_cache import Block, ObservationBank
+from evaluator.rollout.ask import record_answers
+from evaluator.rollout.backend import Backend, PolicyProcess
+from evaluator.run.records import Ledger
+from evaluator.runner.observation_cache import Block, ObservationCache
 from evaluator.runner.observe import Batch
 from rema_data.errors import PolicyFailureError
 from rema_data.progress import Progress
@@ -26,9 +23,9 @@ FAULT_CHECK = 100
 
 def infer_batches(
     policy: PolicyProcess,
-    bank: ObservationBank,
+    backend: Backend,
+    cache: ObservationCache,
     wanted: Sequence[Batch],
-    valid: npt.NDArray[np.bool_],
     ledger: Ledger,
     progress: Progress,
 ) -> None:
@@ -37,10 +34,10 @@ def infer_batches(
     Parameters
     ----------
     policy : PolicyProcess
-    bank : ObservationBank
+    backend : Backend
+    cache : ObservationCache
     wanted : sequence of Batch
         Of one step.
-    valid : bool (64, 64, 16)
     ledger : Ledger
     progress : Progress
 
@@ -56,17 +53,9 @@ def infer_batches(
     loaded: tuple[Situation, ...] = ()
     for batch in wanted:
         if block is None or loaded is not batch.block:
-            block, loaded = bank.load(batch.block), batch.block
-        situations = batch.situations
-        step = situations[0].step
-        question = ObservationBatch.of_maps(situations[0], *block.arrays(batch.rows), valid)
-        answers = policy.act(question, situations if policy.privileged else None)
-        ledger.add_answers(
-            Answered(index, step, None, str(answer.reason), answer.detail)
-            if isinstance(answer, PolicyFault)
-            else Answered(index, step, int(answer))
-            for index, answer in zip(batch.indices, answers, strict=True)
-        )
+            block, loaded = cache.load(batch.block), batch.block
+        observations = [block.observation(row) for row in batch.rows]
+        record_answers(policy, backend, batch.indices, batch.situations, ledger, observations)
         progress.advance(len(batch.indices))
         if len(ledger.answers) >= FAULT_CHECK:
             check_faults(ledger)
@@ -87,7 +76,7 @@ def check_faults(ledger: Ledger) -> None:
     raise PolicyFailureError(
         f"the policy failed on {len(faults)} of {len(ledger.answers)} observations (limit {FAULT_LIMIT:.0%}); "
         f"the first time on scenario {first.index}: {first.reason}: {first.detail}",
-        hint="mend the policy and evaluate it into a new folder (--output); what was recorded stays in this one",
+        hint="fix the policy and evaluate it into a new folder (--output); what was recorded stays in this one",
         faults=len(faults),
         answered=len(ledger.answers),
         reason=first.reason,

@@ -1,4 +1,4 @@
-"""The observation bank: observations on disk, addressed by what they depend on, shared by all policies.
+"""The observation cache: observations on disk, addressed by what they depend on, shared by all policies.
 
 A file holds the observations of one block of situations. Its name is the hash of the situations and of the code and
 parameters that observe them, so a file is never stale; its content carries a checksum, so a damaged one is rebuilt.
@@ -21,7 +21,7 @@ from rema_data import grid
 from rema_data.schema import Observation, Situation
 from rema_data.storage import write_atomic
 
-__all__ = ["Block", "ObservationBank"]
+__all__ = ["Block", "ObservationCache"]
 
 FORMAT = "rema observation bank 2"
 _EE = (2, grid.EE_PIXELS, grid.EE_PIXELS)
@@ -57,23 +57,8 @@ class Block:
         effector = self.which[position]
         return Observation(self.scenes[position], self.depths[effector], self.masks[effector])
 
-    def arrays(self, rows: Sequence[int]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """Scene float32 (n, 64, 64) and end effector float32 (n, 112, 112, 4) of some rows, as a policy sees them."""
-        which = self.which[list(rows)]
-        scenes = np.empty((len(which), *_SCENE), np.float32)
-        effectors = np.empty((len(which), grid.EE_PIXELS, grid.EE_PIXELS, 4), np.float32)
-        made: dict[int, npt.NDArray[np.float32]] = {}
-        for n, position in enumerate(rows):
-            seen = self.observation(position)
-            scenes[n] = seen.scene_m()
-            effector = int(which[n])
-            if effector not in made:
-                made = {effector: seen.end_effector()}  # neighbours share a map, or nobody does
-            effectors[n] = made[effector]
-        return scenes, effectors
 
-
-class ObservationBank:
+class ObservationCache:
     """Observations of situations, from disk where they are there already.
 
     Parameters
@@ -82,7 +67,7 @@ class ObservationBank:
     observe : callable
         Situation to Observation.
     code : str
-        Identity of whatever ``observe`` depends on.
+        Identity of everything that ``observe`` depends on.
     """
 
     def __init__(self, root: Path, observe: Callable[[Situation], Observation], code: str) -> None:
@@ -112,7 +97,7 @@ class ObservationBank:
         return True
 
     def load(self, situations: Sequence[Situation]) -> Block:
-        """The block of these situations, made anew where the file is missing or damaged."""
+        """The block of these situations, made again where the file is missing or damaged."""
         path = self._path(situations)
         found = _payload(path)
         return self._make(path, situations) if found is None else _decode(*found)

@@ -1,4 +1,4 @@
-"""Phase one of a step: every observation that the policy will need is in the bank before it is asked."""
+"""Phase one of a step: every observation that the policy will need is in the cache before it is asked."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from evaluator.runner.observation_cache import ObservationBank
+from evaluator.runner.observation_cache import ObservationCache
 from rema_data.progress import Progress
 from rema_data.schema import Situation
 
@@ -17,14 +17,14 @@ _BLOCK = 512
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """One question to the policy: some rows of one block of the bank.
+    """One question to the policy: some rows of one block of the cache.
 
     Attributes
     ----------
     indices : tuple of int
         Scenario indices, in the order in which they are asked about.
     block : tuple of Situation
-        All situations of the block, which name it in the bank.
+        All situations of the block, which name it in the cache.
     rows : tuple of int
         Of these scenarios in the block.
     """
@@ -86,8 +86,8 @@ def shuffled(wanted: Sequence[Batch], salt: str) -> list[Batch]:
     return [mixed(batch) for block in in_order for batch in sorted(blocks[block], key=lambda one: rank(one.indices[0]))]
 
 
-def observe_batches(bank: ObservationBank, wanted: Sequence[Batch], progress: Progress) -> None:
-    """Put the blocks of ``wanted`` into the bank, one at a time.
+def observe_batches(cache: ObservationCache, wanted: Sequence[Batch], progress: Progress) -> None:
+    """Put the blocks of ``wanted`` into the cache, one at a time.
 
     Raises
     ------
@@ -97,5 +97,5 @@ def observe_batches(bank: ObservationBank, wanted: Sequence[Batch], progress: Pr
     blocks = list({batch.block: None for batch in wanted})
     progress.phase("observe", sum(len(block) for block in blocks))
     for block in blocks:
-        bank.ensure(block)
+        cache.ensure(block)
         progress.advance(len(block))

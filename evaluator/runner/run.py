@@ -23,7 +23,7 @@ from evaluator.runner.audit import ask_again, audit_summary, jobs_again, repeats
 from evaluator.runner.config import EvaluationConfig, EvaluationResult
 from evaluator.runner.finalize import seal_run, write_tables
 from evaluator.runner.infer import check_faults, infer_batches
-from evaluator.runner.observation_cache import ObservationBank
+from evaluator.runner.observation_cache import ObservationCache
 from evaluator.runner.observe import batches, observe_batches, shuffled
 from evaluator.scenarios import ScenarioList, load_list
 from rema_data.errors import InputError, PolicyFailureError, SubmissionError
@@ -121,8 +121,8 @@ class _Run:
         self.plan = Plan(scenarios.scenarios[: config.episodes], config.task, config.protocol)
         self.ledger = Ledger(folder.records, folder.segment)
         self.seconds = dict.fromkeys(PHASES, 0.0)
-        self.own_bank = folder.path / ".observations"
-        self._walls_told = ""
+        self.own_cache = folder.path / ".observations"
+        self._told = ""
         everything = range(config.episodes)
         self.mine = everything if config.shard is None else config.shard.indices(config.episodes, config.batch_size)
 
@@ -152,7 +152,7 @@ class _Run:
             self.folder.note_segment(seconds=rounded, finished=self._finished() - done)
         stopped_early = None if self.look is None else self.look(tables.episodes)
         summary = seal_run(self.folder, self.plan, self.ledger, tables, audit, stopped_early)
-        shutil.rmtree(self.own_bank, ignore_errors=True)
+        shutil.rmtree(self.own_cache, ignore_errors=True)
         if failed is not None:
             raise failed
         check_infrastructure(self.ledger, summary, self.folder.path)
@@ -213,22 +213,21 @@ class _Run:
             wanted.reverse()
         # Situations of later end-to-end steps come from the policy's own picks: of no use to any other run.
         shared = step == 0 or not self.plan.end_to_end
-        root = rema_home() / "observations" if shared else self.own_bank
-        bank = ObservationBank(root, backend.observe, backend.observation_hash)
+        root = rema_home() / "observations" if shared else self.own_cache
+        cache = ObservationCache(root, backend.observe, backend.observation_hash)
         log = self.folder.policy_log
-        # Started before anything is observed: a policy that cannot be loaded is to be known at once.
+        # Started before anything is observed: a policy that cannot be loaded is reported at once.
         with ExitStack() as stack:
             with self._timed("infer"):
                 policy = stack.enter_context(
                     backend.open_policy(config.policy, config.checkpoint, config.device, log, config.sandbox)
                 )
             with self._timed("observe"):
-                observe_batches(bank, wanted, self.progress)
+                observe_batches(cache, wanted, self.progress)
             with self._timed("infer"):
                 self._begin()
                 self._note_policy(policy)
-                valid = backend.valid_actions(config.task, step)
-                infer_batches(policy, bank, wanted, valid, self.ledger, self.progress)
+                infer_batches(policy, backend, cache, wanted, self.ledger, self.progress)
 
     def _note_policy(self, policy: PolicyProcess) -> None:
         known = self.folder.header["policy"].get("privileged")
@@ -241,11 +240,11 @@ class _Run:
             )
         self.folder.set_policy(privileged=policy.privileged)
         isolation = getattr(policy, "isolation", None)
-        if isolation is not None and str(isolation) != self._walls_told:
-            self._walls_told = str(isolation)  # it is started more than once
-            self.progress.note(f"policy isolation {isolation}")
-        walls = None if isolation is None else isolation.to_dict()
-        self.folder.note_segment(isolation=walls, device=self.config.device)
+        if isolation is not None and str(isolation) != self._told:
+            self._told = str(isolation)  # it is started more than once
+            self.progress.note(f"policy sandbox: {isolation}")
+        level = None if isolation is None else isolation.to_dict()
+        self.folder.note_segment(isolation=level, device=self.config.device)
 
     def _audit(self) -> dict[str, Any]:
         """Repeat what was not repeated yet, and compare."""
@@ -263,8 +262,7 @@ class _Run:
                     config.policy, config.checkpoint, config.device, log, config.sandbox
                 ) as policy:
                     self._note_policy(policy)
-                    asked = ask_again(policy, wanted, config.batch_size, backend.observe, backend.valid_actions, again)
-                    for count in asked:
+                    for count in ask_again(policy, backend, wanted, config.batch_size, again):
                         self.progress.advance(count)
             if jobs:
                 simulate_jobs(

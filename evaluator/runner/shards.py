@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 from rema_data.errors import InputError
 
-__all__ = ["Part"]
+__all__ = ["RunShard"]
 
 _FORM = re.compile(r"(\d+)/(\d+)")
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
-    """Part ``number`` of ``count`` of the scenarios of a run.
+class RunShard:
+    """Shard ``number`` of ``count`` of the scenarios of a run.
 
     Attributes
     ----------
@@ -36,13 +36,13 @@ class Part:
             raise InputError(f"there is no shard {self}", hint="count from 1: --shard 1/8 to --shard 8/8")
 
     @classmethod
-    def parse(cls, text: str) -> Part:
-        """The part that ``2/8`` means.
+    def parse(cls, text: str) -> RunShard:
+        """The shard that ``2/8`` means.
 
         Raises
         ------
         InputError
-            It is not written like that, or there is no such part.
+            It is not written like that, or there is no such shard.
         """
         found = _FORM.fullmatch(text)
         if found is None:
@@ -53,9 +53,9 @@ class Part:
         return f"{self.number}/{self.count}"
 
     def indices(self, episodes: int, batch_size: int) -> range:
-        """Scenarios of this part: a run of whole batches, so that a policy is asked the same questions as in one run.
+        """Scenarios of this shard: a run of whole batches, so that a policy is asked the same questions as in one run.
 
-        The parts of one ``count`` are disjoint and cover all scenarios; none is empty.
+        The shards of one ``count`` are disjoint and cover all scenarios; none is empty.
 
         Parameters
         ----------
@@ -67,7 +67,7 @@ class Part:
         Raises
         ------
         InputError
-            There are more parts than batches.
+            There are more shards than batches.
         """
         batches = -(-episodes // batch_size)
         if self.count > batches:

@@ -7,19 +7,13 @@ the picker fails to turn into a tool is drawn again; the manifest says how often
 from __future__ import annotations
 
 import hashlib
-import multiprocessing
 import os
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import closing
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from evaluator.engines import make_engine
-from evaluator.engines.worker import die_with
-from evaluator.policy import PolicySpec, digest
-from evaluator.rollout.backend import Backend, default_backend
 from evaluator.scenarios import (
     SPLITS,
     encode_list,
@@ -29,7 +23,7 @@ from evaluator.scenarios import (
     update_manifest,
     write_list,
 )
-from evaluator.scenarios.policy_picks import draw_picked
+from evaluator.scenarios.policy_picks import Picker, draw_picked
 from evaluator.sim.parameters import WORLD, parameters_hash
 from evaluator.sim.reference import prepare
 from evaluator.sim.simulator import Simulator
@@ -39,7 +33,7 @@ from rema_data.manifests import RESTORE, read_manifest
 from rema_data.progress import Progress, Silent
 from rema_data.schema import TASKS, Scenario, check_task
 
-__all__ = ["COUNTS", "ROOT_SEED", "Picker", "draw_scenario", "generate_list", "picked_list", "write_lists"]
+__all__ = ["COUNTS", "ROOT_SEED", "draw_scenario", "generate_list", "picked_list", "write_lists"]
 
 ROOT_SEED = 2112_00359
 """Root of every frozen list; ``test`` and ``val`` are separate domains of it, and collection has a third."""
@@ -47,25 +41,6 @@ COUNTS = {"test": 10_000, "val": 2_000}
 _CHUNK = 50
 _PICKED_CHUNK = 500
 """Scenarios whose picks are asked about together; with the batches of the questions it belongs to a list's identity."""
-
-
-@dataclass(frozen=True, slots=True)
-class Picker:
-    """A policy that picks the tools of a list.
-
-    Attributes
-    ----------
-    spec : PolicySpec
-    checkpoint : Path or None
-    log : Path
-        Where what it prints is kept.
-    device : str
-    """
-
-    spec: PolicySpec
-    checkpoint: Path | None
-    log: Path
-    device: str = "cpu"
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,50 +75,35 @@ def _draw_chunk(job: tuple[str, str, range]) -> list[Drawn]:
     return [draw_scenario(_simulator, task, split, index) for index in indices]
 
 
-def generate_list(task: str, split: str, count: int, workers: int = 2) -> Iterator[Drawn]:
+def generate_list(task: str, split: str, count: int, pool: Executor) -> Iterator[Drawn]:
     """Scenarios 0 to ``count`` - 1 of a list, in order, whatever the number of workers."""
-    check_task(task)
-    jobs = [(task, split, range(start, min(start + _CHUNK, count))) for start in range(0, count, _CHUNK)]
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=spawn, initializer=die_with, initargs=(os.getpid(),)) as pool:
-        for chunk in pool.map(_draw_chunk, jobs):
-            yield from chunk
+    jobs = [(check_task(task), split, range(start, min(start + _CHUNK, count))) for start in range(0, count, _CHUNK)]
+    for chunk in pool.map(_draw_chunk, jobs):
+        yield from chunk
 
 
-def picked_list(
-    task: str, split: str, count: int, picker: Picker, workers: int = 2, backend: Backend | None = None
-) -> Iterator[Drawn]:
+def picked_list(task: str, split: str, count: int, pool: Executor, picker: Picker) -> Iterator[Drawn]:
     """The same with the tools as a policy picked them.
 
     Raises
     ------
-    SubmissionError, PolicyFailureError
-        The policy cannot be loaded, or cannot pick.
-    InfrastructureError
-        A worker died twice on the same pick.
+    PolicyFailureError
+        The policy cannot pick.
     """
     check_task(task)
-    world = backend or default_backend()
-    engine = make_engine("process", workers, world.simulator)
-    spawn = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, mp_context=spawn, initializer=die_with, initargs=(os.getpid(),))
-    with (
-        pool,
-        closing(engine),
-        world.open_policy(picker.spec, picker.checkpoint, picker.device, picker.log, None) as policy,
-    ):
-        for start in range(0, count, _PICKED_CHUNK):
-            indices = range(start, min(start + _PICKED_CHUNK, count))
-            generators = {index: episode_generator(ROOT_SEED, split, task, index) for index in indices}
-            for one in draw_picked(task, generators, policy, engine, pool, world):
-                yield Drawn(one.scenario(task, split), one.redrawn)
+    for start in range(0, count, _PICKED_CHUNK):
+        indices = range(start, min(start + _PICKED_CHUNK, count))
+        generators = {index: episode_generator(ROOT_SEED, split, task, index) for index in indices}
+        for one in draw_picked(task, generators, picker, pool):
+            yield Drawn(one.scenario(task, split), one.redrawn)
 
 
 def write_lists(
     version: str,
+    pool: Executor,
     tasks: tuple[str, ...] = tuple(TASKS),
     counts: dict[str, int] | None = None,
-    workers: int = 2,
+    *,
     progress: Progress | None = None,
     picker: Picker | None = None,
     keep: tuple[str, ...] = (),
@@ -157,10 +117,11 @@ def write_lists(
     ----------
     version : str
         Name of the folder under ``manifests/scenarios``.
+    pool : Executor
+        Draws scenarios.
     tasks : tuple of str
     counts : dict, optional
         Scenarios of each split; ``COUNTS`` by default.
-    workers : int
     progress : Progress, optional
         Every list is a phase of it.
     picker : Picker, optional
@@ -185,7 +146,7 @@ def write_lists(
     manifest, sink = manifest_path(version), progress or Silent()
     origin = {}
     if picker is not None:
-        origin = {"picker": picker.spec.name, "picker_digest": digest(picker.spec, picker.checkpoint)}
+        origin = {"picker": picker.name, "picker_digest": picker.digest}
     for split in SPLITS:
         count = (counts or COUNTS)[split]
         if count < 1:
@@ -199,17 +160,12 @@ def write_lists(
                 continue
             sink.phase(f"{task}/{split}", count)
             drawn: list[Drawn] = []
-            for item in _source(task, split, count, workers, picker):
+            picked = None if picker is None else picked_list(task, split, count, pool, picker)
+            for item in picked or generate_list(task, split, count, pool):
                 drawn.append(item)
                 sink.advance(1)
             _write(manifest, version, drawn, entry, origin)
     return manifest
-
-
-def _source(task: str, split: str, count: int, workers: int, picker: Picker | None) -> Iterator[Drawn]:
-    if picker is None:
-        return generate_list(task, split, count, workers)
-    return picked_list(task, split, count, picker, workers)
 
 
 def _entries(manifest: Path) -> dict[str, dict[str, Any]]:

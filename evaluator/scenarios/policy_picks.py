@@ -7,29 +7,41 @@ are drawn and picked again.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from evaluator.engines import Engine, InfraError, Job
-from evaluator.policy import ObservationBatch, PolicyFault
-from evaluator.rollout.backend import Backend, PolicyProcess
-from evaluator.run.plan import shards
 from evaluator.sim.reference import reference_step
 from evaluator.sim.simulator import Simulator
 from evaluator.sim.spawn import draw_episode, draw_step
-from rema_data.errors import InfrastructureError, PolicyFailureError
+from rema_data.errors import PolicyFailureError
 from rema_data.schema import Grip, Pinch, Placement, Scenario, Situation, StepOutcome, pinch_step, tool_steps
 
-__all__ = ["Picked", "draw_picked"]
+__all__ = ["Picked", "Picker", "draw_picked"]
 
-BATCH = 64
-"""Observations in one question to the policy."""
 LIMIT = 200
 """Objects that are drawn for one tool at most: a policy that cannot pick is an error, not a long wait."""
+
+
+@dataclass(frozen=True, slots=True)
+class Picker:
+    """A policy that picks the tools of a list.
+
+    Attributes
+    ----------
+    name, digest : str
+        Named in the manifest.
+    carry_out : callable
+        Situations of one step to the outcomes of what the policy does in them, in order. Raises
+        ``PolicyFailureError`` where it gives no action.
+    """
+
+    name: str
+    digest: str
+    carry_out: Callable[[Sequence[Situation]], list[StepOutcome]]
 
 
 @dataclass(slots=True)
@@ -55,7 +67,7 @@ class Picked:
     pinch: Pinch | None = None
     redrawn: int = 0
 
-    def begin_anew(self, task: str) -> None:
+    def start_over(self, task: str) -> None:
         """Draw all objects again, for empty hands."""
         self.placements, self.grips, self.pinch = list(draw_episode(self.rng, task)), (), None
         self.redrawn += len(self.placements)
@@ -68,10 +80,8 @@ class Picked:
 def draw_picked(
     task: str,
     generators: dict[int, np.random.Generator],
-    policy: PolicyProcess,
-    engine: Engine,
+    picker: Picker,
     pool: Executor,
-    backend: Backend,
 ) -> list[Picked]:
     """Draw some scenarios of a task, in the order of their indices; a function of the indices and the policy alone.
 
@@ -80,26 +90,21 @@ def draw_picked(
     task : str
     generators : dict of int to numpy.random.Generator
         Of every scenario, by its index.
-    policy : PolicyProcess
+    picker : Picker
         Picks the tools.
-    engine : Engine
-        Simulates the picks.
     pool : Executor
         Runs the reference pinches.
-    backend : Backend
 
     Raises
     ------
     PolicyFailureError
         The policy gave no action, or failed on too many objects in a row.
-    InfrastructureError
-        A worker died twice on the same pick.
     """
     drawn = [Picked(index, rng, list(draw_episode(rng, task))) for index, rng in sorted(generators.items())]
     waiting = drawn
     for _ in range(LIMIT):
         for step in tool_steps(task):
-            if failed := _failed(waiting, partial(_pick, task, step, policy, engine, backend), task, step):
+            if failed := _failed(waiting, partial(_pick, task, step, picker), task, step):
                 raise _cannot(task, step, failed[0], "draw the lists with a policy that can pick tools")
         pinched = pinch_step(task)
         if pinched is None:
@@ -109,7 +114,7 @@ def draw_picked(
         if not waiting:
             return drawn
         for one in waiting:  # its tools lie so in the hands that nothing can be held between them
-            one.begin_anew(task)
+            one.start_over(task)
     raise _cannot(task, step, waiting[0], "draw the lists with a policy whose picks leave the tools free")
 
 
@@ -138,45 +143,12 @@ def _cannot(task: str, step: int, one: Picked, hint: str) -> PolicyFailureError:
     )
 
 
-def _pick(
-    task: str, step: int, policy: PolicyProcess, engine: Engine, backend: Backend, some: list[Picked]
-) -> list[bool]:
-    situations = [Situation(task, step, one.placements[step], one.grips) for one in some]
-    actions = [action for part in _parts(situations) for action in _ask(task, step, part, policy, backend)]
-    jobs = [Job(n, situation, action) for n, (situation, action) in enumerate(zip(situations, actions, strict=True))]
-    outcomes: dict[int, StepOutcome] = {}
-    for results in engine.map(iter(shards(jobs))):
-        for result in results:
-            if isinstance(result.outcome, InfraError):
-                raise InfrastructureError(
-                    f"a pick of scenario {some[result.key].index} of {task} was lost: {result.outcome.detail}",
-                    hint="run the same command again",
-                )
-            outcomes[result.key] = result.outcome
-    for n, one in enumerate(some):
-        grip = outcomes[n].grip
-        if outcomes[n].success and grip is not None:
-            one.grips = (*one.grips, grip)
-    return [outcomes[n].success for n in range(len(some))]
-
-
-def _parts(situations: Sequence[Situation]) -> Iterator[Sequence[Situation]]:
-    for start in range(0, len(situations), BATCH):
-        yield situations[start : start + BATCH]
-
-
-def _ask(
-    task: str, step: int, situations: Sequence[Situation], policy: PolicyProcess, backend: Backend
-) -> Iterator[int]:
-    seen = [backend.observe(situation) for situation in situations]
-    question = ObservationBatch.of(situations[0], seen, backend.valid_actions(task, step))
-    for answer in policy.act(question, tuple(situations) if policy.privileged else None):
-        if isinstance(answer, PolicyFault):
-            raise PolicyFailureError(
-                f"the policy gave no action for step {step} of {task}: {answer.reason}: {answer.detail}",
-                hint="mend the policy, or draw the lists with another",
-            )
-        yield answer
+def _pick(task: str, step: int, picker: Picker, some: list[Picked]) -> list[bool]:
+    outcomes = picker.carry_out([Situation(task, step, one.placements[step], one.grips) for one in some])
+    for one, outcome in zip(some, outcomes, strict=True):
+        if outcome.success and outcome.grip is not None:
+            one.grips = (*one.grips, outcome.grip)
+    return [outcome.success for outcome in outcomes]
 
 
 _simulator: Simulator | None = None

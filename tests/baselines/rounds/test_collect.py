@@ -151,7 +151,7 @@ def test_a_published_name_belongs_to_one_plan(
 
 def test_a_folder_of_that_name_is_not_written_to(tmp_path: Path) -> None:
     (tmp_path / "tiny").mkdir()
-    with pytest.raises(RunMismatchError, match="is no sealed release"):
+    with pytest.raises(RunMismatchError, match="is not a sealed release"):
         collect_fake(write_plan(tmp_path), tmp_path)
     assert list((tmp_path / "tiny").iterdir()) == []
 

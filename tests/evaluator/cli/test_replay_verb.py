@@ -82,7 +82,7 @@ def test_what_is_no_finished_run(run: Path, tmp_path: Path) -> None:
     assert replay().exit_code == 6
     assert rema("replay", "run", "--fraction", "2").exit_code == 2
     alone = replay("--address", "local")
-    assert alone.exit_code == 2 and "--address is for the ray engine" in alone.stderr
+    assert alone.exit_code == 2 and "--address is for an engine on a cluster" in alone.stderr
 
 
 def test_sign_and_check_with_a_locked_key(run: Path) -> None:

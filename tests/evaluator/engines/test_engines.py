@@ -18,14 +18,14 @@ from evaluator.engines.base import load_attribute
 from evaluator.engines.child import THREAD_CAPS, call_in_child
 from evaluator.engines.inline import InlineEngine
 from evaluator.engines.process import ProcessEngine
-from evaluator.run.plan import shards
+from evaluator.run.plan import job_batches
 from rema_data.errors import InfrastructureError, InputError
 from rema_data.schema import StepOutcome
 from tests.evaluator.fakes import FAULTS, SIMULATOR, FakeSimulator, fake_jobs
 
 
 def collect(engine: Engine, jobs: list[Job]) -> dict[int, JobResult]:
-    found = [result for part in engine.map(shards(jobs)) for result in part]
+    found = [result for part in engine.map(job_batches(jobs)) for result in part]
     engine.close()
     assert sorted(result.key for result in found) == sorted(job.key for job in jobs)
     return {result.key: result for result in found}
@@ -82,7 +82,7 @@ def test_worker_killed_from_outside(monkeypatch: pytest.MonkeyPatch) -> None:
     order(monkeypatch, delay_s=0.005)
     jobs, engine = fake_jobs(120), ProcessEngine(SIMULATOR, 2)
     found: list[JobResult] = []
-    for part in engine.map(shards(jobs)):
+    for part in engine.map(job_batches(jobs)):
         found.extend(part)
         if len(found) >= 20 and engine.replaced == 0:
             victim = next(iter(engine._seats.values())).child.process
@@ -106,7 +106,7 @@ def test_no_worker_outlives_an_abandoned_map(monkeypatch: pytest.MonkeyPatch) ->
     order(monkeypatch, delay_s=0.01)
     before = psutil.Process().children(recursive=True)  # what other tests of this process have left, such as trackers
     engine = ProcessEngine(SIMULATOR, 2)
-    running = engine.map(shards(fake_jobs(200)))
+    running = engine.map(job_batches(fake_jobs(200)))
     next(running)
     children = [child for child in psutil.Process().children(recursive=True) if child not in before]
     with pytest.raises(KeyboardInterrupt):
@@ -135,7 +135,7 @@ def test_call_in_child_reports_what_went_wrong() -> None:
 
 def test_overhead_of_an_episode_is_small() -> None:
     jobs, engine = fake_jobs(3000), ProcessEngine(SIMULATOR, 1)
-    running = engine.map(shards(jobs))
+    running = engine.map(job_batches(jobs))
     done = len(next(running))  # the worker has started
     start = time.perf_counter()
     simulated = sum(result.seconds for part in running for result in part)

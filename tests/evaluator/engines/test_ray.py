@@ -15,7 +15,7 @@ from evaluator.engines import InfraError, Job, JobResult, worker_count
 from evaluator.engines.ray import RayEngine
 from evaluator.policy import resolve
 from evaluator.replay import replay
-from evaluator.run.plan import shards
+from evaluator.run.plan import job_batches
 from evaluator.runner import EvaluationConfig, run_evaluation
 from rema_data.errors import InfrastructureError, InputError
 from rema_data.schema import StepOutcome
@@ -49,7 +49,7 @@ def simulators(node: Any) -> list[psutil.Process]:
 
 
 def collect(engine: RayEngine, jobs: list[Job]) -> dict[int, JobResult]:
-    found = [result for part in engine.map(shards(jobs)) for result in part]
+    found = [result for part in engine.map(job_batches(jobs)) for result in part]
     engine.close()
     assert sorted(result.key for result in found) == [job.key for job in jobs]
     return {result.key: result for result in found}
@@ -73,7 +73,7 @@ def test_outcomes_are_those_of_a_single_machine(machine: Any) -> None:
     found: dict[int, JobResult] = {}
 
     def until_both_work() -> Iterator[tuple[Job, ...]]:
-        for shard in shards(jobs):
+        for shard in job_batches(jobs):
             if len(workers) < 2:
                 yield shard
 
@@ -193,7 +193,7 @@ def test_an_empty_shard_means_ask_again() -> None:
 def test_nothing_outlives_an_abandoned_map(cluster: Any, order: Order) -> None:
     order(delay_s=0.02)
     engine = RayEngine(CLUSTER_SIMULATOR, 1)
-    running = engine.map(shards(fake_jobs(200)))
+    running = engine.map(job_batches(fake_jobs(200)))
     next(running)
     children = simulators(cluster.head_node)
     assert len(children) == 1

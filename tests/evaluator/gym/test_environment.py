@@ -168,7 +168,7 @@ def test_an_invalid_action_is_a_policy_error() -> None:
 def test_what_is_no_action(action: Any) -> None:
     environment = TaskEnv("grasp")
     environment.reset(seed=1)
-    with pytest.raises(InputError, match="no action"):
+    with pytest.raises(InputError, match="not an action"):
         environment.step(action)
 
 

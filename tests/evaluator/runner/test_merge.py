@@ -17,7 +17,7 @@ from evaluator.cli.main import cli
 from evaluator.run.check import read_evidence
 from evaluator.runner import run_evaluation
 from evaluator.runner.merge import merge_runs
-from evaluator.runner.shards import Part
+from evaluator.runner.shards import RunShard
 from rema_data.errors import InputError, IntegrityError, MissingFileError, RunMismatchError
 from tests.evaluator.fakes import FakePolicyProcess, fake_backend, fake_config, write_fake_list
 
@@ -57,7 +57,7 @@ def divided(tmp_path_factory: pytest.TempPathFactory) -> Path:
         config = fake_config(folder / "whole", task=LONG, protocol="end-to-end", batch_size=BATCH, engine="inline")
         run_evaluation(config, backend=fake_backend())
     for number in range(1, COUNT + 1):
-        part = Part(number, COUNT)
+        part = RunShard(number, COUNT)
         cut(folder / "whole", folder / f"part{number}", part.indices(EPISODES, BATCH), str(part))
     return folder
 
@@ -206,7 +206,7 @@ def test_divided_runs(task: str, fake_home: Path) -> None:
     run_evaluation(fake_config(fake_home / "whole", **changes), backend=fake_backend())
     folders = []
     for number in range(1, COUNT + 1):
-        shard = Part(number, COUNT)
+        shard = RunShard(number, COUNT)
         process = FakePolicyProcess()
         config = fake_config(fake_home / f"part{number}", shard=shard, **changes)
         summary = run_evaluation(config, backend=fake_backend(process)).summary

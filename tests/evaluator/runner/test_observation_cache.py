@@ -1,4 +1,4 @@
-"""The observation bank gives back exactly what was observed, and never trusts a damaged file."""
+"""The observation cache gives back exactly what was observed, and never trusts a damaged file."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluator.runner.observation_cache import ObservationBank
+from evaluator.rollout.ask import question
+from evaluator.runner.observation_cache import ObservationCache
 from evaluator.runner.observe import batches, shuffled
 from rema_data.schema import Observation, Situation
-from tests.evaluator.fakes import fake_observe, fake_scenario
+from tests.evaluator.fakes import fake_backend, fake_observe, fake_scenario
 
 SITUATIONS = tuple(fake_scenario("grasp_push", index).last_situation() for index in range(20))
 
@@ -29,8 +30,8 @@ def seen() -> Counting:
     return Counting()
 
 
-def same(bank: ObservationBank) -> bool:
-    block = bank.load(SITUATIONS)
+def same(cache: ObservationCache) -> bool:
+    block = cache.load(SITUATIONS)
     for position, situation in enumerate(SITUATIONS):
         got, want = block.observation(position), fake_observe(situation)
         for name in ("scene", "depth", "mask"):
@@ -41,20 +42,20 @@ def same(bank: ObservationBank) -> bool:
 
 
 def test_observed_once_and_read_exactly(tmp_path: Path, seen: Counting) -> None:
-    bank = ObservationBank(tmp_path, seen, "code")
-    assert bank.ensure(SITUATIONS)
-    assert not bank.ensure(SITUATIONS)
-    assert same(bank)
+    cache = ObservationCache(tmp_path, seen, "code")
+    assert cache.ensure(SITUATIONS)
+    assert not cache.ensure(SITUATIONS)
+    assert same(cache)
     assert seen.calls == len(SITUATIONS)
-    assert len(bank.load(SITUATIONS).depths) == 1
-    ObservationBank(tmp_path, seen, "other code").ensure(SITUATIONS)
+    assert len(cache.load(SITUATIONS).depths) == 1
+    ObservationCache(tmp_path, seen, "other code").ensure(SITUATIONS)
     assert seen.calls == 2 * len(SITUATIONS)
 
 
 @pytest.mark.parametrize("damage", ["flip", "cut", "empty", "gone", "sizes"])
 def test_damaged_files_are_rebuilt(tmp_path: Path, seen: Counting, damage: str) -> None:
-    bank = ObservationBank(tmp_path, seen, "code")
-    bank.ensure(SITUATIONS)
+    cache = ObservationCache(tmp_path, seen, "code")
+    cache.ensure(SITUATIONS)
     (path,) = tmp_path.rglob("*.obs")
     data = bytearray(path.read_bytes())
     data[-9] ^= 4
@@ -64,19 +65,19 @@ def test_damaged_files_are_rebuilt(tmp_path: Path, seen: Counting, damage: str) 
         data[-9] ^= 4 * (damage == "sizes")  # whole again: only the head of the file is wrong
         sizes = bytes(data).replace(b'"observations": 20', b'"observations": 10')
         path.write_bytes({"flip": bytes(data), "cut": bytes(data[:-50]), "empty": b"", "sizes": sizes}[damage])
-    assert same(bank)
+    assert same(cache)
     assert seen.calls == 2 * len(SITUATIONS)
-    assert not bank.ensure(SITUATIONS)
+    assert not cache.ensure(SITUATIONS)
 
 
-def test_arrays_are_what_a_policy_sees(tmp_path: Path) -> None:
-    block = ObservationBank(tmp_path, fake_observe, "code").load(SITUATIONS)
-    scenes, effectors = block.arrays(range(5, 12))
-    assert scenes.dtype == effectors.dtype == np.float32
+def test_a_question_holds_what_was_observed(tmp_path: Path) -> None:
+    block = ObservationCache(tmp_path, fake_observe, "code").load(SITUATIONS)
+    asked = question(fake_backend(), SITUATIONS[5:12], [block.observation(row) for row in range(5, 12)])
+    assert asked.scene.dtype == asked.end_effector.dtype == np.float32
     for n, situation in enumerate(SITUATIONS[5:12]):
         want = fake_observe(situation)
-        assert np.array_equal(scenes[n], want.scene_m())
-        assert np.array_equal(effectors[n], want.end_effector())
+        assert np.array_equal(asked.scene[n], want.scene_m())
+        assert np.array_equal(asked.end_effector[n], want.end_effector())
 
 
 @pytest.mark.parametrize(("size", "alive"), [(64, 1300), (7, 30), (600, 1000)])

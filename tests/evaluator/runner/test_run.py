@@ -21,7 +21,7 @@ from filelock import FileLock
 from evaluator.run.environment import source_digest
 from evaluator.run.folder import RunFolder
 from evaluator.runner import run_evaluation
-from evaluator.runner.shards import Part
+from evaluator.runner.shards import RunShard
 from rema_data.errors import (
     InfrastructureError,
     InputError,
@@ -358,5 +358,5 @@ def test_a_cluster_is_for_the_ray_engine(tmp_path: Path) -> None:
 
 def test_more_shards_than_batches_are_refused_before_anything_is_written(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="too few for 9 shards"):
-        fake_config(tmp_path / "run", shard=Part(1, 9), batch_size=64)
+        fake_config(tmp_path / "run", shard=RunShard(1, 9), batch_size=64)
     assert not (tmp_path / "run").exists()

@@ -10,9 +10,11 @@ import pytest
 from click.testing import CliRunner
 
 from evaluator.cli.main import cli
+from evaluator.engines.child import process_pool
 from evaluator.policy import resolve
+from evaluator.rollout.picks import open_picker
 from evaluator.scenarios import SPLITS, VERSION, load_list, manifest_path, reference_pinch, reference_tools
-from evaluator.scenarios.generation import COUNTS, ROOT_SEED, Picker, write_lists
+from evaluator.scenarios.generation import COUNTS, ROOT_SEED, write_lists
 from evaluator.sim.parameters import WORLD
 from evaluator.sim.spawn import draw_episode, episode_generator
 from rema_data.errors import InputError, IntegrityError, PolicyFailureError
@@ -25,10 +27,15 @@ def manifests(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+def draw(version: str, tasks: tuple[str, ...], counts: dict[str, int], workers: int = 1, **options: Any) -> Path:
+    with process_pool(workers) as pool:
+        return write_lists(version, pool, tasks, counts, **options)
+
+
 def test_lists_do_not_depend_on_the_number_of_workers(manifests: Path) -> None:
     small = {"test": 3, "val": 1}
     for version, workers in (("a", 1), ("b", 2)):
-        write_lists(version, ("grasp_push", "grasp_grasp"), small, workers)
+        draw(version, ("grasp_push", "grasp_grasp"), small, workers)
     digests = []
     for version in ("a", "b"):
         content = json.loads(manifest_path(version).read_text())
@@ -40,12 +47,12 @@ def test_lists_do_not_depend_on_the_number_of_workers(manifests: Path) -> None:
 
 
 def test_a_list_is_never_changed(manifests: Path) -> None:
-    path = write_lists("a", ("grasp",), {"test": 2, "val": 1}, 1)
+    path = draw("a", ("grasp",), {"test": 2, "val": 1}, 1)
     before = (path.parent / "grasp_test.parquet").read_bytes()
-    write_lists("a", ("grasp",), {"test": 5, "val": 1}, 1)
+    draw("a", ("grasp",), {"test": 5, "val": 1}, 1)
     assert (path.parent / "grasp_test.parquet").read_bytes() == before
     with pytest.raises(InputError, match="at least one"):
-        write_lists("c", ("grasp",), {"test": 0, "val": 1})
+        draw("c", ("grasp",), {"test": 0, "val": 1})
 
 
 def test_a_list_that_no_manifest_names_is_drawn_again(manifests: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -57,36 +64,36 @@ def test_a_list_that_no_manifest_names_is_drawn_again(manifests: Path, monkeypat
     with monkeypatch.context() as patch:
         patch.setattr("evaluator.scenarios.generation.update_manifest", killed)
         with pytest.raises(KeyboardInterrupt):
-            write_lists("a", ("grasp",), {"test": 2, "val": 1}, 1)
+            draw("a", ("grasp",), {"test": 2, "val": 1}, 1)
     left = manifest_path("a").with_name("grasp_test.parquet")
     assert left.exists() and not manifest_path("a").exists()
     left.write_bytes(b"of another count, or half a list")
-    write_lists("a", ("grasp",), {"test": 2, "val": 1}, 1)
+    draw("a", ("grasp",), {"test": 2, "val": 1}, 1)
     assert len(load_list("grasp", version="a").scenarios) == 2 and len(load_list("grasp", "val", "a").scenarios) == 1
 
 
 def test_a_list_that_is_gone_comes_back_only_as_it_was(manifests: Path) -> None:
-    path = write_lists("a", ("grasp",), {"test": 2, "val": 1}, 1)
+    path = draw("a", ("grasp",), {"test": 2, "val": 1}, 1)
     file = path.with_name("grasp_test.parquet")
     before, named = file.read_bytes(), path.read_bytes()
     file.unlink()
     with pytest.raises(IntegrityError, match="grasp_test.parquet, which is gone") as caught:
-        write_lists("a", ("grasp",), {"test": 3, "val": 1}, 1)
+        draw("a", ("grasp",), {"test": 3, "val": 1}, 1)
     assert "git checkout" in caught.value.hint and not file.exists() and path.read_bytes() == named
-    write_lists("a", ("grasp",), {"test": 2, "val": 1}, 1)
+    draw("a", ("grasp",), {"test": 2, "val": 1}, 1)
     assert file.read_bytes() == before and path.read_bytes() == named
     path.write_text("{")
     with pytest.raises(IntegrityError, match="cannot be read"):
-        write_lists("a", ("grasp",), {"test": 2, "val": 1}, 1)
+        draw("a", ("grasp",), {"test": 2, "val": 1}, 1)
 
 
 def test_a_list_is_named_where_it_lies(manifests: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also when the present version only names the list of an older one."""
-    picker = Picker(resolve("random"), None, tmp_path / "log")
-    write_lists("old", ("push",), {"test": 2, "val": 1}, 1)
-    for present, new in (("old", "middle"), ("middle", "new")):
-        monkeypatch.setattr("evaluator.scenarios.lists.VERSION", present)
-        write_lists(new, ("push",), {"test": 9, "val": 9}, 1, picker=picker)
+    draw("old", ("push",), {"test": 2, "val": 1}, 1)
+    with open_picker(resolve("random"), None, "cpu", tmp_path / "log", 1) as picker:
+        for present, new in (("old", "middle"), ("middle", "new")):
+            monkeypatch.setattr("evaluator.scenarios.lists.VERSION", present)
+            draw(new, ("push",), {"test": 9, "val": 9}, 1, picker=picker)
     lists = [json.loads(manifest_path(version).read_text())["lists"] for version in ("middle", "new")]
     assert lists[0] == lists[1] and lists[1]["push/test"]["file"] == "../old/push_test.parquet"
     assert load_list("push", version="new").scenarios == load_list("push", version="old").scenarios
@@ -94,22 +101,20 @@ def test_a_list_is_named_where_it_lies(manifests: Path, tmp_path: Path, monkeypa
 
 def test_what_a_picker_prints_is_not_frozen(manifests: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("REMA_HOME", str(tmp_path / "home"))
-    given: list[Picker] = []
-
-    def write(version: str, *rest: Any) -> Path:
-        given.append(rest[-2])
-        return manifest_path(version)
-
-    monkeypatch.setattr("evaluator.scenarios.generation.write_lists", write)
-    done = CliRunner().invoke(cli, ["scenarios", "a", "--picker", "random"])
+    code = tmp_path / "pickers.py"
+    code.write_text(PICKERS)
+    draw(VERSION, ("push",), {"test": 2, "val": 1}, 1)
+    arguments = ["scenarios", "a", "--task", "push", "--workers", "1", "--test", "1", "--val", "1"]
+    done = CliRunner().invoke(cli, [*arguments, "--picker", f"{code}:Chatty"])
     assert done.exit_code == 0, done.output
-    assert given[0].log == tmp_path / "home" / "logs" / "scenarios-a.log"
+    assert "the picker is here" in (tmp_path / "home" / "logs" / "scenarios-a.log").read_text()
+    assert not list((tmp_path / "scenarios").rglob("*.log"))
 
 
 def test_a_list_can_be_kept(manifests: Path) -> None:
     """A version may draw some tasks anew and name the lists in force of others."""
-    write_lists(VERSION, ("grasp", "push"), {"test": 2, "val": 1}, 1)
-    path = write_lists("a", ("grasp",), {"test": 3, "val": 1}, 1, keep=("push",))
+    draw(VERSION, ("grasp", "push"), {"test": 2, "val": 1}, 1)
+    path = draw("a", ("grasp",), {"test": 3, "val": 1}, 1, keep=("push",))
     entries = json.loads(path.read_text())["lists"]
     assert entries["push/test"]["file"] == f"../{VERSION}/push_test.parquet"
     assert len(load_list("grasp", version="a").scenarios) == 3
@@ -127,6 +132,10 @@ class Clumsy:
             picks.append((min(max(int(rows.mean()), 4), 59), min(max(int(columns.mean()), 4), 59), 4))
         return picks
 
+class Chatty(Clumsy):
+    def __init__(self, checkpoint, device):
+        print("the picker is here")
+
 class Hopeless(Clumsy):
     def act(self, observations):
         return [(4, 4, 0)] * len(observations.scene)
@@ -137,11 +146,11 @@ def test_tools_that_a_policy_picked(manifests: Path, tmp_path: Path, monkeypatch
     """Whatever the number of workers; objects that it cannot pick are drawn again, and the manifest says who picked."""
     code = tmp_path / "pickers.py"
     code.write_text(PICKERS)
-    picker = Picker(resolve(f"{code}:Clumsy"), None, tmp_path / "log")
-    write_lists(VERSION, ("push",), {"test": 2, "val": 1}, 1)
+    draw(VERSION, ("push",), {"test": 2, "val": 1}, 1)
     listed = []
     for version, workers in (("a", 1), ("b", 2)):
-        write_lists(version, ("grasp_push", "push"), {"test": 3, "val": 1}, workers, picker=picker)
+        with open_picker(resolve(f"{code}:Clumsy"), None, "cpu", tmp_path / "log", workers) as picker:
+            draw(version, ("grasp_push", "push"), {"test": 3, "val": 1}, workers, picker=picker)
         listed.append(json.loads(manifest_path(version).read_text())["lists"])
     assert listed[0] == listed[1]
     entry = listed[0]["grasp_push/test"]
@@ -155,14 +164,11 @@ def test_tools_that_a_policy_picked(manifests: Path, tmp_path: Path, monkeypatch
     assert load_list("push", version="a").scenarios == load_list("push", version=VERSION).scenarios
 
     monkeypatch.setattr("evaluator.scenarios.policy_picks.LIMIT", 2)
-    with pytest.raises(PolicyFailureError, match="failed on 2 objects in a row"):
-        write_lists(
-            "c",
-            ("grasp_push",),
-            {"test": 2, "val": 1},
-            1,
-            picker=Picker(resolve(f"{code}:Hopeless"), None, tmp_path / "log"),
-        )
+    with (
+        open_picker(resolve(f"{code}:Hopeless"), None, "cpu", tmp_path / "log", 1) as picker,
+        pytest.raises(PolicyFailureError, match="failed on 2 objects in a row"),
+    ):
+        draw("c", ("grasp_push",), {"test": 2, "val": 1}, 1, picker=picker)
 
 
 @pytest.mark.parametrize("task", TASKS)

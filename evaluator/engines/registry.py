@@ -1,0 +1,112 @@
+"""Engines by name: entry points of the group ``rema.engines``, the built-in ones among them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from evaluator.engines.base import SIMULATOR, Engine, EngineType
+from rema_data.errors import InputError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+__all__ = ["check_engine", "engine_names", "engine_type", "make_engine", "worker_count"]
+
+GROUP = "rema.engines"
+BUILT_IN = {
+    "process": "evaluator.engines.process:ProcessEngine",
+    "inline": "evaluator.engines.inline:InlineEngine",
+    "ray": "evaluator.engines.ray:RayEngine",
+}
+"""As in ``pyproject.toml``, for a checkout that is not installed."""
+
+
+def _installed() -> dict[str, EntryPoint]:
+    from importlib.metadata import EntryPoint, entry_points  # workers import this package and need to start at once
+
+    built_in = (EntryPoint(name, value, GROUP) for name, value in BUILT_IN.items())
+    found: dict[str, EntryPoint] = {}
+    for entry in (*entry_points(group=GROUP), *built_in):
+        found.setdefault(entry.name, entry)
+    return dict(sorted(found.items()))
+
+
+def engine_names() -> tuple[str, ...]:
+    """Names of the installed engines."""
+    return tuple(_installed())
+
+
+def engine_type(name: str) -> EngineType:
+    """The class of an engine.
+
+    Raises
+    ------
+    InputError
+        No such engine is installed, or it cannot be imported.
+    """
+    installed = _installed()
+    if name not in installed:
+        raise InputError(f"unknown engine {name!r}", hint=f"installed: {', '.join(installed)}", engine=name)
+    try:
+        found: EngineType = installed[name].load()
+    except (ImportError, AttributeError) as error:
+        raise InputError(
+            f"the {name} engine cannot be loaded: {error}", hint=f"installed: {', '.join(installed)}", engine=name
+        ) from error
+    return found
+
+
+def check_engine(name: str, workers: int | None = None, address: str | None = None) -> EngineType:
+    """The class of an engine, after a check of what it is to be made with.
+
+    Raises
+    ------
+    InputError
+        There is no such engine, ``workers`` is not positive, or the engine takes no address.
+    """
+    found = engine_type(name)
+    if workers is not None and workers < 1:
+        raise InputError(f"--workers {workers} is not a positive number", hint="give 1 or more", workers=workers)
+    if address is not None and found.place != "cluster":
+        raise InputError(
+            f"--address is for an engine on a cluster: the {name} engine runs on this machine alone",
+            hint="choose another one, such as --engine ray, or drop --address",
+        )
+    return found
+
+
+def make_engine(
+    name: str, workers: int | None = None, factory: str = SIMULATOR, *, address: str | None = None
+) -> Engine:
+    """An engine by name.
+
+    Parameters
+    ----------
+    name : str
+        One of ``engine_names()``.
+    workers : int, optional
+        Every core (of the cluster) by default; ``inline`` has one.
+    factory : str
+        ``module:attribute`` of the simulator's factory.
+    address : str, optional
+        Of the cluster; only an engine on a cluster has one.
+
+    Raises
+    ------
+    InputError
+        As ``check_engine``; or a library that the engine needs is not installed.
+    """
+    return check_engine(name, workers, address)(factory, workers, address=address)
+
+
+def worker_count(name: str, workers: int | None = None, *, address: str | None = None) -> int:
+    """How many simulators an engine runs at a time.
+
+    A cluster is asked where ``workers`` is not given, and then stays connected.
+
+    Raises
+    ------
+    InputError
+        As ``make_engine``; or there is no cluster at the address.
+    """
+    return make_engine(name, workers, address=address).workers
