@@ -1,4 +1,4 @@
-"""The contract of engines, and what the process engine survives."""
+"""The built-in engines keep the contract of engines; and what the process engine survives besides."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from evaluator.engines.child import THREAD_CAPS, call_in_child
 from evaluator.engines.inline import InlineEngine
 from evaluator.engines.process import ProcessEngine
 from evaluator.run.plan import job_batches
+from evaluator.testing.engines import EngineContract, IsolatedEngineContract
 from rema_data.errors import InfrastructureError, InputError
 from rema_data.schema import StepOutcome
 from tests.evaluator.fakes import FAULTS, SIMULATOR, FakeSimulator, fake_jobs
@@ -40,16 +41,19 @@ def expected(jobs: list[Job]) -> dict[int, StepOutcome]:
     return {job.key: simulator.run(job.situation, job.action) for job in jobs}
 
 
-@pytest.mark.parametrize(("name", "workers"), [("inline", 1), ("process", 1), ("process", 2), ("process", 3)])
-def test_every_engine_gives_the_same_outcomes(name: str, workers: int) -> None:
-    jobs = fake_jobs(64)
-    results = collect(make_engine(name, workers, SIMULATOR), jobs)
-    assert {key: result.outcome for key, result in results.items()} == expected(jobs)
-    assert {result.attempt for result in results.values()} == {1}
+class TestInline(EngineContract):
+    def make_engine(self, factory: str, episode_limit_s: float) -> Engine:
+        return InlineEngine(factory)
 
 
-def test_nothing_to_do() -> None:
-    assert collect(make_engine("process", 2, SIMULATOR), []) == {}
+class TestProcess(IsolatedEngineContract):
+    def make_engine(self, factory: str, episode_limit_s: float) -> Engine:
+        return ProcessEngine(factory, 2, episode_limit_s=episode_limit_s)
+
+
+class TestOneProcess(IsolatedEngineContract):
+    def make_engine(self, factory: str, episode_limit_s: float) -> Engine:
+        return ProcessEngine(factory, 1, episode_limit_s=episode_limit_s)
 
 
 def test_worker_that_dies_once_costs_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -69,13 +73,6 @@ def test_poison_is_quarantined(monkeypatch: pytest.MonkeyPatch, workers: int) ->
     assert {key: error.reason for key, error in lost.items()} == {3: "died", 11: "died", 20: "raised"}
     assert "SIGKILL" in lost[3].detail
     assert "scenario 20 is odd" in lost[20].detail
-
-
-def test_hang_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
-    order(monkeypatch, hang=[5])
-    results = collect(ProcessEngine(SIMULATOR, 2, episode_limit_s=4.0), fake_jobs(30))  # also the time to start in
-    lost = {key: result.outcome for key, result in results.items() if isinstance(result.outcome, InfraError)}
-    assert [(key, error.reason) for key, error in lost.items()] == [(5, "hung")]
 
 
 def test_worker_killed_from_outside(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -144,17 +141,11 @@ def test_overhead_of_an_episode_is_small() -> None:
     assert (spent - simulated) / (3000 - done) < 1e-3  # a tenth of this, alone on a machine
 
 
-def test_names() -> None:
+def test_what_an_engine_cannot_be_made_with() -> None:
     assert default_workers() >= 1
-    assert isinstance(make_engine("inline"), InlineEngine)
-    for call in (lambda: make_engine("dask"), lambda: make_engine("process", 0), lambda: load_attribute("json")):
+    for call in (lambda: make_engine("process", 0), lambda: load_attribute("json")):
         with pytest.raises(InputError):
             call()
-
-
-def test_an_address_is_for_ray() -> None:
-    with pytest.raises(InputError, match="this machine alone"):
-        make_engine("process", address="auto")
 
 
 def test_the_ray_engine_without_ray(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,6 +17,7 @@ from evaluator.policy import resolve
 from evaluator.replay import replay
 from evaluator.run.plan import job_batches
 from evaluator.runner import EvaluationConfig, run_evaluation
+from evaluator.testing.engines import IsolatedEngineContract
 from rema_data.errors import InfrastructureError, InputError
 from rema_data.schema import StepOutcome
 from tests.baselines.rounds.fakes import collect_fake, tree, write_plan
@@ -66,6 +67,11 @@ def outcomes(results: dict[int, JobResult]) -> dict[int, StepOutcome | InfraErro
 
 def lost(results: dict[int, JobResult]) -> dict[int, str]:
     return {key: error.reason for key, error in outcomes(results).items() if isinstance(error, InfraError)}
+
+
+class TestRay(IsolatedEngineContract):
+    def make_engine(self, factory: str, episode_limit_s: float) -> RayEngine:
+        return RayEngine(factory, 1, episode_limit_s=episode_limit_s)
 
 
 def test_outcomes_are_those_of_a_single_machine(machine: Any) -> None:
@@ -171,23 +177,6 @@ def test_an_episode_that_costs_two_actors_is_given_up(order: Order) -> None:
     assert lost(results) == {13: "died"}
     assert engine.replaced == 2
     assert {key for key, result in results.items() if result.attempt == 2} == set(range(25))  # its shard, one by one
-
-
-def test_an_empty_shard_means_ask_again() -> None:
-    jobs = fake_jobs(30)
-    engine = RayEngine(CLUSTER_SIMULATOR, 1)
-    seen: list[int] = []
-
-    def source() -> Iterator[tuple[Job, ...]]:
-        yield tuple(jobs[:10])
-        while len(seen) < 10:
-            yield ()
-        yield tuple(jobs[10:])
-
-    for part in engine.map(source()):
-        seen.extend(result.key for result in part)
-    engine.close()
-    assert sorted(seen) == list(range(30))
 
 
 def test_nothing_outlives_an_abandoned_map(cluster: Any, order: Order) -> None:

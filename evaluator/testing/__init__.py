@@ -1,0 +1,1 @@
+"""What policies and engines must keep, as pytest mixins that you run on your own: see ``engines`` and ``policies``."""
