@@ -18,7 +18,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.situations import last_situation
-from evaluator.render.preview import play, write_preview
+from evaluator.render.film import FilmMaker
+from evaluator.render.preview import write_preview
 from evaluator.sim.kinds import KINDS
 from evaluator.sim.reach import valid_actions
 from evaluator.sim.simulator import Simulator
@@ -77,7 +78,8 @@ def main() -> None:
     for task in arguments.tasks.split(","):
         situation, action = success(simulator, task, arguments.first)
         path = arguments.folder / f"{task}.png"
-        write_preview(play(situation, action), path, TITLES[task], COLOURS)
+        with FilmMaker() as films:
+            write_preview(films.take(situation, action), path, TITLES[task], COLOURS)
         print(f"{path}: {path.stat().st_size / 1000:.0f} kB", file=sys.stderr)
     simulator.close()
 

@@ -26,14 +26,20 @@ if TYPE_CHECKING:
     from PIL import Image, ImageDraw
 
 __all__ = [
+    "GREEN",
+    "INK",
     "LEGEND",
+    "RED",
     "SUFFIXES",
     "contact_sheet",
     "describe",
+    "end_effector_map",
     "outcome_text",
     "scene_map",
     "tile",
+    "to_png",
     "write_pictures",
+    "write_text",
 ]
 
 SUFFIXES = (".png", ".html")
@@ -48,10 +54,10 @@ _FINE = 2
 """Drawn so many times larger, then averaged: smooth lines."""
 _PAGE: Colour = (233, 231, 226)
 _PAPER: Colour = (255, 255, 255)
-_INK: Colour = (31, 35, 40)
+INK: Colour = (31, 35, 40)
 _FAINT: Colour = (101, 109, 118)
-_GREEN: Colour = (26, 127, 55)
-_RED: Colour = (180, 35, 24)
+GREEN: Colour = (26, 127, 55)
+RED: Colour = (180, 35, 24)
 _ORANGE: Colour = (217, 119, 6)
 _BLUE: Colour = (31, 111, 235)
 _GREY: Colour = (140, 149, 159)
@@ -94,19 +100,21 @@ def tile(step: GalleryStep) -> Image.Image:
     image_module, draw_module = _pillow()
     row = step.row
     image: Image.Image = image_module.new("RGB", _TILE, _PAPER)
-    image.paste(scene_map(step), (_MARGIN, _HEAD))
+    pose = row["x_m"], row["y_m"], row["theta_rad"]
+    push_m = math.inf if row["primitive"] == "push" else 0.0
+    image.paste(scene_map(step.observation, pose, push_m), (_MARGIN, _HEAD))
     for state in range(2):
-        panel = _end_effector(step.observation, state)
+        panel = end_effector_map(step.observation, state, _HAND)
         image.paste(panel, (_MARGIN + _SCENE + _GAP, _HEAD + state * (_HAND + _GAP)))
     draw = draw_module.Draw(image)
-    colour = _GREEN if row["success"] else _RED
+    colour = GREEN if row["success"] else RED
     draw.rectangle((0, 0, _TILE[0], 3), fill=colour)
     place, who, action, evidence = describe(row)
-    _write(draw, (_MARGIN, 6), place, 14, _INK)
-    _write(draw, (_MARGIN, 23), who, 11, _FAINT)
-    _write(draw, (_TILE[0] - _MARGIN, 6), outcome_text(row), 14, colour, "ra")
-    _write(draw, (_MARGIN, _HEAD + _SCENE + 6), action, 11, _INK)
-    _write(draw, (_MARGIN, _HEAD + _SCENE + 21), evidence, 11, _FAINT)
+    write_text(draw, (_MARGIN, 6), place, 14, INK)
+    write_text(draw, (_MARGIN, 23), who, 11, _FAINT)
+    write_text(draw, (_TILE[0] - _MARGIN, 6), outcome_text(row), 14, colour, "ra")
+    write_text(draw, (_MARGIN, _HEAD + _SCENE + 6), action, 11, INK)
+    write_text(draw, (_MARGIN, _HEAD + _SCENE + 21), evidence, 11, _FAINT)
     return image
 
 
@@ -134,7 +142,7 @@ def contact_sheet(steps: Sequence[GalleryStep], title: str, columns: int = 3) ->
     size = columns * (_TILE[0] + _MARGIN) + _MARGIN, top + rows * (_TILE[1] + _MARGIN) + _HEAD
     sheet: Image.Image = image_module.new("RGB", size, _PAGE)
     draw = draw_module.Draw(sheet)
-    _write(draw, (_MARGIN, 12), title, 16, _INK)
+    write_text(draw, (_MARGIN, 12), title, 16, INK)
     for number, step in enumerate(steps):
         row, column = divmod(number, columns)
         sheet.paste(tile(step), (_MARGIN + column * (_TILE[0] + _MARGIN), top + row * (_TILE[1] + _MARGIN)))
@@ -160,7 +168,7 @@ def write_pictures(steps: Sequence[GalleryStep], path: Path, title: str, columns
             path=str(path),
         )
     if suffix == ".png":
-        write_atomic(path, _png(contact_sheet(steps, title, columns)))
+        write_atomic(path, to_png(contact_sheet(steps, title, columns)))
     else:
         write_atomic(path, _page(steps, title))
 
@@ -175,13 +183,26 @@ def _pillow() -> tuple[Any, Any]:
     return Image, ImageDraw
 
 
-def scene_map(step: GalleryStep) -> Image.Image:
-    """The scene map, 256 pixels wide, x to the right and y up, with the end effector at the place of the action.
+def scene_map(
+    observation: Observation,
+    pose: tuple[float, float, float],
+    push_m: float = 0.0,
+    goal_x_m: float | None = None,
+    pixels: int = _SCENE,
+) -> Image.Image:
+    """The scene map, x to the right and y up, with the end effector at the place of the action.
 
     Parameters
     ----------
-    step : GalleryStep
-        Of its row, ``x_m``, ``y_m``, ``theta_rad`` and ``primitive`` are used.
+    observation : Observation
+    pose : (x, y, yaw)
+        Of the action; m, rad.
+    push_m : float
+        How far the action pushes in +x; 0 for a grasp. Where the way ends in the map, the end effector is there too.
+    goal_x_m : float, optional
+        A line that the target has to pass.
+    pixels : int
+        Width and height of the picture.
 
     Raises
     ------
@@ -189,19 +210,21 @@ def scene_map(step: GalleryStep) -> Image.Image:
         pillow is not installed.
     """
     image_module, draw_module = _pillow()
-    size = _SCENE * _FINE
+    size = pixels * _FINE
     step_m = 2 * grid.SCENE_HALF_M / size
     across = (np.arange(size) + 0.5) * step_m - grid.SCENE_HALF_M
     x, y = across[None, :], -across[:, None]
-    colours = _shade(step.observation.scene, _pixel(x, y, grid.SCENE_PIXELS))
-    ax, ay, yaw = (step.row[name] for name in ("x_m", "y_m", "theta_rad"))
-    u = math.cos(yaw) * (x - ax) + math.sin(yaw) * (y - ay)
-    v = -math.sin(yaw) * (x - ax) + math.cos(yaw) * (y - ay)
-    place = _pixel(u, v, grid.EE_PIXELS)
-    body, allowed = step.observation.depth[0][place] > 0, step.observation.mask[0][place]
-    inside = (abs(u) < grid.EE_HALF_M) & (abs(v) < grid.EE_HALF_M)
-    colours = _tint(colours, inside & body & ~allowed, _GREY, 0.45)
-    colours = _tint(colours, inside & allowed, _BLUE, 0.45)
+    colours = _shade(observation.scene, _pixel(x, y, grid.SCENE_PIXELS))
+    ax, ay, yaw = pose
+    end_m = ax + push_m
+    for at_x, share in ((ax, 0.45), (end_m, 0.2)) if push_m and end_m < grid.SCENE_HALF_M else ((ax, 0.45),):
+        u = math.cos(yaw) * (x - at_x) + math.sin(yaw) * (y - ay)
+        v = -math.sin(yaw) * (x - at_x) + math.cos(yaw) * (y - ay)
+        place = _pixel(u, v, grid.EE_PIXELS)
+        body, allowed = observation.depth[0][place] > 0, observation.mask[0][place]
+        inside = (abs(u) < grid.EE_HALF_M) & (abs(v) < grid.EE_HALF_M)
+        colours = _tint(colours, inside & body & ~allowed, _GREY, share)
+        colours = _tint(colours, inside & allowed, _BLUE, share)
     image: Image.Image = image_module.fromarray(colours.astype(np.uint8))
     draw = draw_module.Draw(image)
 
@@ -210,27 +233,35 @@ def scene_map(step: GalleryStep) -> Image.Image:
 
     edge = grid.SCENE_HALF_M - grid.VALID_MARGIN * grid.PIXEL_M
     draw.rectangle((*at(-edge, edge), *at(edge, -edge)), outline=(205, 199, 189), width=_FINE)
-    if step.row["primitive"] == "push":
-        _arrow(draw, at(ax, ay), at(grid.SCENE_HALF_M - 0.004, ay), _INK, 1.4)
+    if goal_x_m is not None:
+        draw.line((*at(goal_x_m, -grid.SCENE_HALF_M), *at(goal_x_m, grid.SCENE_HALF_M)), fill=GREEN, width=2 * _FINE)
+    if push_m:
+        _arrow(draw, at(ax, ay), at(min(end_m, grid.SCENE_HALF_M - 0.004), ay), INK, 1.4)
     _arrow(draw, at(ax, ay), at(ax + 0.04 * math.cos(yaw), ay + 0.04 * math.sin(yaw)), _ORANGE, 2.2)
     _dot(draw, at(ax, ay), 3.4, _ORANGE)
     draw.rectangle((0, 0, size - 1, size - 1), outline=_GREY, width=_FINE)
-    return image.resize((_SCENE, _SCENE), image_module.Resampling.BOX)
+    return image.resize((pixels, pixels), image_module.Resampling.BOX)
 
 
-def _end_effector(observation: Observation, state: int) -> Image.Image:
-    """One state of the end-effector map at yaw 0: grey bodies, blue where they may touch the target."""
+def end_effector_map(
+    observation: Observation, state: int, pixels: int, planes: Sequence[str] = ("depth", "mask")
+) -> Image.Image:
+    """One state of the end-effector map at yaw 0: grey bodies (depth), blue where they may touch the target (mask)."""
     image_module, draw_module = _pillow()
     zoom = _zoom(observation.depth)
-    size = _HAND * _FINE
+    size = pixels * _FINE
     across = ((np.arange(size) + 0.5) / size * 2 - 1) * grid.EE_HALF_M / zoom
     place = _pixel(across[None, :], -across[:, None], grid.EE_PIXELS)
-    colours = _tint(_shade(observation.depth[state], place), observation.mask[state][place], _BLUE, 0.65)
+    depth = observation.depth[state] if "depth" in planes else np.zeros_like(observation.depth[state])
+    colours = _shade(depth, place)
+    if "mask" in planes:
+        colours = _tint(colours, observation.mask[state][place], _BLUE, 0.65)
     image: Image.Image = image_module.fromarray(colours.astype(np.uint8))
     draw_module.Draw(image).rectangle((0, 0, size - 1, size - 1), outline=_GREY, width=_FINE)
-    image = image.resize((_HAND, _HAND), image_module.Resampling.BOX)
+    image = image.resize((pixels, pixels), image_module.Resampling.BOX)
+    named = f": {planes[0]}" if len(planes) == 1 else ""
     enlarged = f", {zoom} x" if zoom > 1 else ""
-    _write(draw_module.Draw(image), (5, 3), f"state {state + 1}{enlarged}", 10, _FAINT)
+    write_text(draw_module.Draw(image), (5, 3), f"state {state + 1}{named}{enlarged}", 10, _FAINT)
     return image
 
 
@@ -289,9 +320,10 @@ def _dot(draw: ImageDraw.ImageDraw, centre: tuple[float, float], radius: float, 
         draw.ellipse((x - reach, y - reach, x + reach, y + reach), fill=paint)
 
 
-def _write(
+def write_text(
     draw: ImageDraw.ImageDraw, place: tuple[float, float], text: str, size: float, colour: Colour, anchor: str = "la"
 ) -> None:
+    """Write one line, ``size`` in pixels; see pillow's ``anchor``."""
     from PIL import ImageFont
 
     draw.text(place, text, fill=colour, font=ImageFont.load_default(size), anchor=anchor)
@@ -299,7 +331,7 @@ def _write(
 
 LEGEND: tuple[tuple[Colour, str], ...] = (
     (_ORANGE, "the action: place and yaw"),
-    (_INK, "the way of a push"),
+    (INK, "the way of a push"),
     (_BLUE, "may touch the target"),
     (_GREY, "may not"),
     (_OBJECT, "the target; darker is higher"),
@@ -314,11 +346,12 @@ def _legend(draw: ImageDraw.ImageDraw, place: tuple[float, float]) -> None:
     font = ImageFont.load_default(11)
     for colour, text in LEGEND:
         draw.rectangle((x, y, x + 11, y + 11), fill=colour)
-        draw.text((x + 17, y - 1), text, fill=_INK, font=font)
+        draw.text((x + 17, y - 1), text, fill=INK, font=font)
         x += 40 + draw.textlength(text, font=font)
 
 
-def _png(image: Image.Image) -> bytes:
+def to_png(image: Image.Image) -> bytes:
+    """A PNG file."""
     buffer = io.BytesIO()
     image.save(buffer, "PNG", optimize=True)
     return buffer.getvalue()
@@ -328,13 +361,13 @@ def _page(steps: Iterable[GalleryStep], title: str) -> str:
     """HTML with every picture inside it."""
     figures = []
     for step in steps:
-        data = base64.b64encode(_png(tile(step))).decode()
+        data = base64.b64encode(to_png(tile(step))).decode()
         words = html.escape(", ".join((*describe(step.row)[:2], outcome_text(step.row))))
         size = f'width="{_TILE[0]}" height="{_TILE[1]}"'
         figures.append(f'<img {size} alt="{words}" title="{words}" src="data:image/png;base64,{data}">')
     keys = " ".join(f'<i style="background:rgb{colour}"></i>{html.escape(text)}' for colour, text in LEGEND)
     style = (
-        f"body{{font:15px system-ui,sans-serif;background:rgb{_PAGE};color:rgb{_INK};margin:24px}}"
+        f"body{{font:15px system-ui,sans-serif;background:rgb{_PAGE};color:rgb{INK};margin:24px}}"
         "main{display:flex;flex-wrap:wrap;gap:12px}h1{font-size:20px}p{font-size:13px}"
         "i{display:inline-block;width:11px;height:11px;margin:0 6px 0 18px}i:first-child{margin-left:0}"
     )

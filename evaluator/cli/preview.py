@@ -162,24 +162,27 @@ def _preview_scenario(
     from evaluator.policy.loading import resolve
 
     import_pybullet()
-    from evaluator.render.preview import asked, check_action, find_scenario, find_step, play, write_preview
+    from evaluator.render.film import FilmMaker
+    from evaluator.render.preview import check_action, chosen_by, write_preview
+    from evaluator.rollout.episode import frozen_scenario
+    from evaluator.scenarios import load_list
     from rema_data.schema import to_dict
 
-    scenario = find_scenario(task, index, split, protocol)
-    if wanted is not None:
-        situation = scenario.last_situation()
-        chosen, who = check_action(situation, *wanted), "a given action"
-    else:
-        spec = resolve(policy or "scripted")
-        who = spec.name
-        with asked(spec, checkpoint) as answer:
-            situation, chosen = find_step(scenario, protocol, answer)
-    played = play(situation, chosen)
+    scenario = frozen_scenario(load_list(task, split), index, protocol)
+    with FilmMaker() as films:
+        if wanted is not None:
+            situation = scenario.last_situation()
+            take, who = films.take(situation, check_action(situation, *wanted)), "a given action"
+        else:
+            spec = resolve(policy or "scripted")
+            who = spec.name
+            with chosen_by(spec, checkpoint) as choose:
+                take = films.play(scenario, protocol, choose)
     path = output or Path(f"preview-{task}-{index}.png")
-    write_preview(played, path, f"{task}, scenario {index} ({split}, {protocol}), {who}")
-    outcome = played.outcome
+    write_preview(take, path, f"{task}, scenario {index} ({split}, {protocol}), {who}")
+    outcome = take.outcome
     if as_json:
-        row = {"file": str(path), "step": situation.step, "action": chosen, "outcome": to_dict(outcome)}
+        row = {"file": str(path), "step": take.situation.step, "action": take.action, "outcome": to_dict(outcome)}
         click.echo(json.dumps(row))
     else:
         click.echo(f"{path}: {'success' if outcome.success else outcome.failure}")

@@ -11,7 +11,8 @@ from gymnasium import spaces
 
 from evaluator.gym.draws import TRAIN, Draws
 from evaluator.protocol import PROTOCOLS
-from evaluator.render.photographer import Camera
+from evaluator.render.film import FilmMaker, waiting_shot
+from evaluator.render.studio import Studio
 from evaluator.rollout.ask import attempt, question
 from evaluator.rollout.backend import default_backend
 from evaluator.rollout.episode import first_step, next_step
@@ -87,7 +88,7 @@ class TaskEnv(gymnasium.Env[dict[str, Any], np.int64]):
         self._backend = default_backend()
         self._draws = Draws(task, domain, protocol)
         self._simulator = Simulator()
-        self._camera: Camera | None = None
+        self._studio: Studio | None = None
         self._name = ""
         self._scenario: Scenario | None = None
         self._situation: Situation | None = None
@@ -166,18 +167,20 @@ class TaskEnv(gymnasium.Env[dict[str, Any], np.int64]):
         """The world before the next primitive, or at the end of the last one: uint8 (480, 640, 3)."""
         if self.render_mode is None or self._situation is None:
             return None
-        if self._camera is None:
-            self._camera = Camera()
+        if self._studio is None:
+            self._studio = Studio()
+        situation, target = self._situation, self._situation.target
         if self._action is None:
-            return self._camera.before(self._situation)
-        return self._camera.after(self._situation, self._action)
+            return self._studio.photograph(waiting_shot(situation, int(grid.snap(target.x_m, target.y_m, 0.0))))
+        with FilmMaker() as films:  # the step is carried out again, to be seen
+            return self._studio.photograph(films.take(situation, self._action).after)
 
     def close(self) -> None:
-        """Release the simulator and the camera."""
+        """Release the simulator and the studio."""
         self._simulator.close()
-        if self._camera is not None:
-            self._camera.close()
-            self._camera = None
+        if self._studio is not None:
+            self._studio.close()
+            self._studio = None
 
     def _index(self, action: Any) -> int:
         value = np.asarray(action)

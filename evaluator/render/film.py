@@ -1,29 +1,38 @@
-"""Episodes played again from their recorded actions, with what the world looked like on the way."""
+"""Steps carried out before a camera: what the world looked like before, on the way, and at the end."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
-from evaluator.render.preview import roles, waiting_shot
-from evaluator.render.studio import Shot, shot_of_world
-from evaluator.report.finished import FinishedRun, Row
+from evaluator.render.studio import Marker, Shot, shot_of_stage, shot_of_world
+from evaluator.rollout.episode import walk
+from evaluator.sim.kinds import kind_of
+from evaluator.sim.parameters import WORLD
 from evaluator.sim.reach import acting_arm
 from evaluator.sim.simulator import Simulator
+from evaluator.sim.staging import HandPose, Thing, target_thing
 from evaluator.sim.world import World
-from rema_data.schema import Failure, Scenario, Situation, StepOutcome
+from rema_data import grid
+from rema_data.schema import Action, Failure, ObjectSpec, Scenario, Situation, StepOutcome
 
-__all__ = ["SHOT_EVERY", "FilmMaker", "Take", "agreement"]
+__all__ = ["SHOT_EVERY", "FilmMaker", "Take", "agreement", "markers", "waiting_shot"]
 
 SHOT_EVERY = 6
 """Simulation steps between two shots."""
+CLEARANCE_M = 0.09
+"""How far above the target hands and tools wait in the picture before the action."""
+_AIM = (0.12, 0.12, 0.14, 1.0)
+_LINE = (0.05, 0.62, 0.20, 1.0)
+_SQUARE = (0.66, 0.62, 0.56, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Take:
-    """The step that decided an episode, carried out again.
+    """A step that was carried out.
 
     Attributes
     ----------
@@ -44,9 +53,14 @@ class Take:
     before: Shot
     shots: Sequence[Shot]
 
+    @property
+    def after(self) -> Shot:
+        """The moment in which the attempt ended; ``before`` where no arm moved."""
+        return self.shots[-1] if self.shots else self.before
+
 
 class FilmMaker:
-    """Plays episodes again, as a context manager. Needs one Bullet client, and no policy."""
+    """Carries out steps, as a context manager. Needs one Bullet client, and no policy."""
 
     def __init__(self) -> None:
         self._simulator = _Filming(shortcuts=True)
@@ -61,27 +75,27 @@ class FilmMaker:
         self._simulator.close()
         self._slow.close()
 
-    def play(self, run: FinishedRun, scenario: Scenario, row: Row) -> Take:
-        """The step at which an episode was decided, or at which it now goes another way.
+    def play(
+        self, scenario: Scenario, protocol: str, choose: Callable[[Situation], int], until: int | None = None
+    ) -> Take:
+        """The step at which an episode ends.
 
         Parameters
         ----------
-        run : FinishedRun
         scenario : Scenario
-        row : mapping
-            Of ``episodes.parquet``, with an action for every step up to the one that decided.
+        protocol : {"conditional", "end-to-end"}
+        choose : callable
+            Situation to grid index.
+        until : int, optional
+            Go no further than this step, even if it succeeds here.
         """
-        if not run.end_to_end:
-            return self._take(scenario.last_situation(), row[f"step{run.steps[-1]}_action"])
-        last = run.steps[-1] if row["failed_step"] is None else row["failed_step"]
-        situation = scenario.first_situation()
-        while True:
-            take = self._take(situation, row[f"step{situation.step}_action"])
-            if situation.step == last or not take.outcome.success:
-                return take
-            situation = scenario.next_situation(situation, take.outcome)
+        for take in walk(scenario, protocol, lambda situation: self.take(situation, choose(situation))):
+            if take.situation.step == until:
+                break
+        return take
 
-    def _take(self, situation: Situation, action: int) -> Take:
+    def take(self, situation: Situation, action: int) -> Take:
+        """One step."""
         before = waiting_shot(situation, action)
         if acting_arm(situation.task, situation.step, action) is None:
             return Take(situation, action, StepOutcome(False, Failure.UNREACHABLE), before, ())
@@ -98,7 +112,7 @@ class _Filming(Simulator):
         """Outcome of one action, and shots of the way to it; none where nothing was simulated."""
         shots: list[Shot] = []
         world = self.world
-        cast = roles(situation)
+        cast = _roles(situation)
         world.look = lambda: shots.append(shot_of_world(world, cast))
         outcome = self.run(situation, action)
         if shots:
@@ -126,13 +140,51 @@ class _WatchedWorld(World):
             super().step()
 
 
-def agreement(row: Row, take: Take) -> str:
+def _roles(situation: Situation) -> list[tuple[str, ObjectSpec]]:
+    """Objects of a simulated step, in the order in which the simulator places them: for ``shot_of_world``."""
+    return [(thing.role, thing.spec) for thing in _staged(situation, 0, "left")[1]]
+
+
+def waiting_shot(situation: Situation, action: int) -> Shot:
+    """The picture before an action: what acts waits ``CLEARANCE_M`` above its place."""
+    arm = acting_arm(situation.task, situation.step, action) or "left"
+    return shot_of_stage(*_staged(situation, action, arm), kind_of(situation).symmetric)
+
+
+def _staged(situation: Situation, action: int, arm: str) -> tuple[list[HandPose], list[Thing]]:
+    """Hands that wait above the place of an action, and all objects: the target first."""
+    kind, pose = kind_of(situation), Action(action).pose
+    hands = kind.hands(situation, pose, kind.start_height(situation, CLEARANCE_M), arm)
+    return hands, [target_thing(situation), *kind.held(situation, hands, pose)]
+
+
+def markers(situation: Situation, action: int) -> list[Marker]:
+    """Bars on the table: the valid square, the place of the action, and for a push its way and the line to pass."""
+    x, y, yaw = Action(action).pose
+    edge = grid.SCENE_HALF_M - grid.VALID_MARGIN * grid.PIXEL_M
+    thin = 0.0012
+    found = [Marker(s * edge, 0.0, thin, edge, 0.0, _SQUARE) for s in (-1, 1)]
+    found += [Marker(0.0, s * edge, edge, thin, 0.0, _SQUARE) for s in (-1, 1)]
+    way = kind_of(situation).reach_shifts(WORLD)[-1]
+    if way:
+        found.append(Marker(x + way / 2, y, way / 2, 0.0015, 0.0, _AIM))
+        for turn in (-1, 1):
+            tip = turn * math.radians(150)
+            found.append(Marker(x + way + 0.014 * math.cos(tip), y + 0.014 * math.sin(tip), 0.015, 0.0015, tip, _AIM))
+        target = situation.target
+        found.append(Marker(target.x_m + WORLD.push_success_m, target.y_m, 0.003, 0.10, 0.0, _LINE))
+    else:
+        found += [Marker(x, y, 0.016, 0.0012, yaw, _AIM), Marker(x, y, 0.0012, 0.016, yaw, _AIM)]
+    return found
+
+
+def agreement(row: Mapping[str, Any], take: Take) -> str:
     """How an episode that was played again compares with its record.
 
     Parameters
     ----------
     row : mapping
-        Of ``episodes.parquet``.
+        Of the table of results.
     take : Take
 
     Returns

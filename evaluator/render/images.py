@@ -9,25 +9,22 @@ import base64
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Any, Self
 
 import matplotlib
 import numpy as np
 import numpy.typing as npt
-import pybullet_data
 from PIL import Image, ImageDraw
 
-from evaluator.render.film import SHOT_EVERY, Take
-from evaluator.render.preview import markers
-from evaluator.render.studio import Marker, Shot, Studio
+from evaluator.render.film import SHOT_EVERY, Take, markers
+from evaluator.render.studio import CLOSE_UP, Studio
+from evaluator.sim.kinds import kind_of
+from evaluator.sim.observation import observe
 from evaluator.sim.parameters import WORLD
 from rema_data import grid
-from rema_data.gallery import GalleryStep
-from rema_data.pictures import scene_map
-from rema_data.schema import Observation
+from rema_data.pictures import scene_map, to_png
+from rema_data.schema import Action, Situation
 
-__all__ = ["MAP_PIXELS", "PHOTO", "Photographer", "Photographs", "draw_action", "draw_scores"]
+__all__ = ["MAP_PIXELS", "PHOTO", "Photographs", "draw_action", "draw_scores", "photograph"]
 
 PHOTO = (480, 360)
 FILM = (360, 270)
@@ -35,11 +32,9 @@ FILM = (360, 270)
 MAP_PIXELS = 256
 FRAMES = 18
 """Of an animation at most."""
-_OVERSAMPLING = 2
 _SLOWER = 1.5
 """An animation takes so many times the simulated time."""
 _LAST_FRAME_MS = 1500
-_CAMERA: dict[str, Any] = {"eye": (1.62, -0.48, 1.06), "aim": (0.09, 0.0, 0.11), "fov_deg": 23.0}
 _QUALITY = 78
 _SCORE_COLOURS = "magma"
 _RING = ((9, 4, (0, 0, 0)), (8, 2, (255, 255, 255)))
@@ -55,55 +50,32 @@ class Photographs:
     film: str | None
 
 
-class Photographer:
-    """Turns takes into pictures, as a context manager."""
-
-    def __init__(self) -> None:
-        self._studio = Studio(pybullet_data.getDataPath())
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._studio.close()
-
-    def photograph(self, take: Take) -> Photographs:
-        """Before, after, and a short animation between them."""
-        shown = markers(take.situation, take.action)
-        before = _still(self._picture(take.before, shown, PHOTO))
-        if not take.shots:
-            return Photographs(before, None, None)
-        after = _still(self._picture(take.shots[-1], shown, PHOTO))
-        count = min(FRAMES, len(take.shots))
-        chosen = np.linspace(0, len(take.shots) - 1, count).round().astype(int)
-        frames = [self._picture(take.shots[number], shown, FILM) for number in chosen]
-        seconds = len(take.shots) * SHOT_EVERY * WORLD.time_step_s * _SLOWER
-        return Photographs(before, after, _animation(frames, seconds))
-
-    def _picture(self, shot: Shot, shown: Sequence[Marker], size: tuple[int, int]) -> Image.Image:
-        fine = size[0] * _OVERSAMPLING, size[1] * _OVERSAMPLING
-        pixels = self._studio.photograph(shot, shown, fine, **_CAMERA)
-        return Image.fromarray(pixels).resize(size, Image.Resampling.BOX)
+def photograph(studio: Studio, take: Take) -> Photographs:
+    """Before, after, and a short animation between them."""
+    shown = markers(take.situation, take.action)
+    before = _still(studio.picture(take.before, shown, PHOTO, CLOSE_UP))
+    if not take.shots:
+        return Photographs(before, None, None)
+    after = _still(studio.picture(take.after, shown, PHOTO, CLOSE_UP))
+    count = min(FRAMES, len(take.shots))
+    chosen = np.linspace(0, len(take.shots) - 1, count).round().astype(int)
+    frames = [studio.picture(take.shots[number], shown, FILM, CLOSE_UP) for number in chosen]
+    seconds = len(take.shots) * SHOT_EVERY * WORLD.time_step_s * _SLOWER
+    return Photographs(before, after, _animation(frames, seconds))
 
 
-def draw_action(observation: Observation, action: int, primitive: str) -> str:
+def draw_action(situation: Situation, action: int) -> str:
     """The scene map with the action and what acts, 256 pixels wide, as a ``data:`` address.
 
     Parameters
     ----------
-    observation : Observation
+    situation : Situation
     action : int
         Grid index.
-    primitive : str
     """
-    x_m, y_m, theta_rad = (float(value) for value in grid.to_world(action))
-    row = {"x_m": x_m, "y_m": y_m, "theta_rad": theta_rad, "primitive": primitive}
-    picture = scene_map(GalleryStep(row, observation))
-    buffer = io.BytesIO()
-    picture.quantize(64, dither=Image.Dither.NONE).save(buffer, "PNG", optimize=True)
-    return _address("image/png", buffer.getvalue())
+    way_m = kind_of(situation).reach_shifts(WORLD)[-1]
+    picture = scene_map(observe(situation), Action(action).pose, way_m, pixels=MAP_PIXELS)
+    return _address("image/png", to_png(picture.quantize(64, dither=Image.Dither.NONE)))
 
 
 def draw_scores(best: npt.NDArray[np.float32], action: int) -> str:

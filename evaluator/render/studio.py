@@ -8,11 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 import pybullet
+import pybullet_data
 
 from evaluator.render.arms import dressed_urdf
 from evaluator.sim import robots
@@ -23,7 +25,22 @@ from evaluator.sim.staging import HandPose, Thing
 from evaluator.sim.world import World
 from rema_data.schema import ObjectSpec
 
-__all__ = ["COLOURS", "COLOUR_NAMES", "Body", "Marker", "Shot", "Studio", "shot_of_stage", "shot_of_world"]
+if TYPE_CHECKING:
+    from PIL import Image
+
+__all__ = [
+    "CLOSE_UP",
+    "COLOURS",
+    "COLOUR_NAMES",
+    "ROOM",
+    "Body",
+    "Marker",
+    "Shot",
+    "Studio",
+    "View",
+    "shot_of_stage",
+    "shot_of_world",
+]
 
 Array = npt.NDArray[Any]
 Colour = tuple[float, float, float, float]
@@ -39,8 +56,23 @@ _TABLE: Colour = (0.80, 0.76, 0.70, 1.0)
 _SHADE: Colour = (0.66, 0.62, 0.56, 1.0)
 _COLUMN: Colour = (0.34, 0.36, 0.40, 1.0)
 _CARRIAGE: Colour = (0.45, 0.46, 0.50, 1.0)
+_OVERSAMPLING = 2
 _IDLE = (-0.22, 0.22, 0.42)
 """Where the hand of an arm that does not act waits: x, distance from the middle towards its base, z (m)."""
+
+
+class View(NamedTuple):
+    """Where a camera stands and looks (m), and its vertical field of view (degrees)."""
+
+    eye: tuple[float, float, float]
+    aim: tuple[float, float, float]
+    fov_deg: float
+
+
+ROOM = View((1.62, -0.48, 1.06), (0.07, 0.0, 0.21), 31.0)
+"""Both arms and the table."""
+CLOSE_UP = View(ROOM.eye, (0.09, 0.0, 0.11), 23.0)
+"""Hands and objects, large enough for a small picture."""
 
 
 class Body(NamedTuple):
@@ -122,18 +154,16 @@ def shot_of_stage(
 
 
 class Studio:
-    """Two arms at a table, to be posed and photographed.
+    """Two arms at a table, to be posed and photographed in software; also a context manager.
 
     Parameters
     ----------
-    meshes : str
-        pybullet_data folder.
     parameters : WorldParameters
     """
 
-    def __init__(self, meshes: str, parameters: WorldParameters = WORLD) -> None:
+    def __init__(self, parameters: WorldParameters = WORLD) -> None:
         self._p = parameters
-        self._world = World(("left", "right"), parameters, dressed_urdf(meshes, parameters))
+        self._world = World(("left", "right"), parameters, dressed_urdf(pybullet_data.getDataPath(), parameters))
         self._client = self._world.client
         self._extras: list[int] = []
         client = self._client
@@ -143,18 +173,31 @@ class Studio:
             base = base_of(name, parameters)
             self._box((base.x_m, base.y_m, base.z_m / 2), (0.10, 0.10, base.z_m / 2), _COLUMN)
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
     def close(self) -> None:
         """Disconnect from Bullet."""
         self._world.close()
+
+    def picture(self, shot: Shot, markers: Sequence[Marker], size: tuple[int, int], view: View = ROOM) -> Image.Image:
+        """The same as ``photograph``, with smooth edges. Needs pillow."""
+        from PIL import Image
+
+        fine = self.photograph(shot, markers, (size[0] * _OVERSAMPLING, size[1] * _OVERSAMPLING), view)
+        return Image.fromarray(fine).resize(size, Image.Resampling.BOX)
 
     def photograph(
         self,
         shot: Shot,
         markers: Sequence[Marker] = (),
         size: tuple[int, int] = (640, 480),
-        eye: tuple[float, float, float] = (1.62, -0.48, 1.06),
-        aim: tuple[float, float, float] = (0.07, 0.0, 0.21),
-        fov_deg: float = 31.0,
+        view: View = ROOM,
     ) -> npt.NDArray[np.uint8]:
         """One picture.
 
@@ -164,10 +207,7 @@ class Studio:
         markers : sequence of Marker
         size : (width, height)
             Pixels.
-        eye, aim : (x, y, z)
-            Of the camera, metres.
-        fov_deg : float
-            Vertical field of view.
+        view : View
 
         Returns
         -------
@@ -191,12 +231,12 @@ class Studio:
             )
         width, height = size
         client = self._client
-        view = client.computeViewMatrix(eye, aim, (0, 0, 1))
-        projection = client.computeProjectionMatrixFOV(fov_deg, width / height, 0.3, 4.0)
+        matrix = client.computeViewMatrix(view.eye, view.aim, (0, 0, 1))
+        projection = client.computeProjectionMatrixFOV(view.fov_deg, width / height, 0.3, 4.0)
         _, _, colour, _, segments = client.getCameraImage(
             width,
             height,
-            view,
+            matrix,
             projection,
             shadow=0,
             lightDirection=(0.5, -0.6, 1.6),

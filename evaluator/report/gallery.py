@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from evaluator.render.film import FilmMaker, Take, agreement
-from evaluator.render.images import Photographer, Photographs, draw_action, draw_scores
-from evaluator.render.preview import EVIDENCE, touching
+from evaluator.render.images import Photographs, draw_action, draw_scores, photograph
+from evaluator.render.studio import Studio
+from evaluator.render.words import FAILURES, action_text, measured_text, touching_text
 from evaluator.report.finished import FinishedRun, Row
 from evaluator.report.scores import Scored
 from evaluator.report.selection import Chosen
-from evaluator.sim.kinds import kind_of
-from evaluator.sim.observation import observe
-from rema_data import grid
 from rema_data.progress import Progress
 from rema_data.schema import TASKS, Failure, Scenario
 
-__all__ = ["MARKUP", "MEANING", "Card", "fit", "make_cards", "with_scores"]
+__all__ = ["MARKUP", "Card", "fit", "make_cards", "with_scores"]
 
 MARKUP = 700
 """Bytes of the elements around a picture, at most."""
-MEANING: dict[str, str] = {label.value: text for label, text in EVIDENCE.items()}
-MEANING[Failure.POLICY_ERROR.value] = "the policy raised, took too long, or answered with something that is no action"
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,15 +78,21 @@ def make_cards(
     progress.phase("play again", len(chosen))
     faults = {fault["index"]: fault for fault in run.faults()}
     cards = []
-    with FilmMaker() as films, Photographer() as photographer:
+    with FilmMaker() as films, Studio() as studio:
         for one in chosen:
             if one.label == Failure.POLICY_ERROR:
                 cards.append(_speechless(run, one, faults.get(one.row["index"], {})))
             else:
-                take = films.play(run, scenarios[one.row["index"]], one.row)
-                cards.append(_card(run, one, take, photographer.photograph(take)))
+                take = _played_again(films, run, scenarios[one.row["index"]], one.row)
+                cards.append(_card(run, one, take, photograph(studio, take)))
             progress.advance(1)
     return cards
+
+
+def _played_again(films: FilmMaker, run: FinishedRun, scenario: Scenario, row: Row) -> Take:
+    """The step at which an episode was decided, or at which it now goes another way."""
+    protocol = "end-to-end" if run.end_to_end else "conditional"
+    return films.play(scenario, protocol, lambda situation: row[f"step{situation.step}_action"], row["failed_step"])
 
 
 def _card(run: FinishedRun, one: Chosen, take: Take, photographs: Photographs) -> Card:
@@ -104,7 +105,7 @@ def _card(run: FinishedRun, one: Chosen, take: Take, photographs: Photographs) -
         _facts(one.row, take),
         take,
         photographs,
-        draw_action(observe(take.situation), take.action, take.situation.kind.primitive.value),
+        draw_action(take.situation, take.action),
         None,
         agreement(one.row, take),
         again,
@@ -130,37 +131,21 @@ def _facts(row: Row, take: Take) -> list[tuple[str, str]]:
     """What was done and what was recorded of it."""
     situation = take.situation
     spec, step = situation.target.spec, situation.step
-    i, j, k = (int(value) for value in grid.decode(take.action))
-    x, y, yaw = (float(value) for value in grid.to_world(take.action))
     arm = row[f"step{step}_arm"]
     across = f", second bar {spec.arm_m * 100:.1f} cm" if spec.arm_m else ""
     facts = [
         ("target (red)", f"{spec.shape.value}, {spec.length_m * 100:.1f} x {spec.width_m * 100:.1f} cm{across}"),
-        ("may touch it", touching(situation)),
-        (
-            "action",
-            f"i {i}, j {j}, k {k}: x {x * 1000:+.0f} mm, y {y * 1000:+.0f} mm, {math.degrees(yaw):g} deg",
-        ),
+        ("may touch it", touching_text(situation)),
+        ("action", action_text(take.action)),
     ]
     if arm in ("left", "right", "both"):
         facts.append(("acting", "both arms" if arm == "both" else f"{arm} arm"))
     label = row[f"step{step}_failure"]
-    if label in MEANING:
-        facts.append(("why it failed", MEANING[label]))
-    facts.append(("recorded", _evidence(row, step, kind_of(situation).measure)))
+    if label in FAILURES:
+        facts.append(("why it failed", FAILURES[label]))
+    measured = {name: row[f"step{step}_{name}"] for name in ("displacement_m", "lift_m", "peak_force_n", "sim_steps")}
+    facts.append(("recorded", measured_text(situation, measured)))
     return facts
-
-
-def _evidence(row: Row, step: int, measure: str) -> str:
-    moved, lifted, force, steps = (
-        row[f"step{step}_{name}"] or 0 for name in ("displacement_m", "lift_m", "peak_force_n", "sim_steps")
-    )
-    if not steps:
-        return "not simulated: nothing could touch the target, or no arm could move there"
-    moved = round(moved * 100, 1) + 0.0  # no minus before a zero
-    main = f"moved {moved:+.1f} cm in x" if measure == "displacement_m" else f"lifted {lifted * 100:.1f} cm"
-    parts = [main] + ([f"{force:.0f} N at most in the descent"] if force >= 0.5 else [])
-    return ", ".join([*parts, f"{steps} simulation steps"])
 
 
 def with_scores(card: Card, scored: Scored) -> Card:

@@ -131,7 +131,8 @@ def write_report(
     finished = read_finished(run)
     try:
         from evaluator.render.images import FILM, MAP_PIXELS, PHOTO
-        from evaluator.report.gallery import MEANING, fit
+        from evaluator.render.words import FAILURES
+        from evaluator.report.gallery import fit
         from evaluator.report.page import render
     except ImportError as error:
         raise InputError(
@@ -141,7 +142,7 @@ def write_report(
     said = {
         **_words(finished),
         **pictures.words(),
-        "meaning": MEANING,
+        "meaning": FAILURES,
         "photo": PHOTO,
         "film": FILM,
         "map": MAP_PIXELS,

@@ -40,8 +40,10 @@ class ExampleSimulator:
         if action == HANG:
             time.sleep(3600)
         if action % 3 == 0:
-            return StepOutcome(False, Failure.MISSED, "left", sim_steps=action)
-        return StepOutcome(True, None, "right", situation.target.x_m, action / 7, 0.1, 1, 0, action)
+            return StepOutcome(False, Failure.MISSED, arm="left", sim_steps=action)
+        return StepOutcome(
+            True, None, arm="right", displacement_m=situation.target.x_m, lift_m=action / 7, sim_steps=action
+        )
 
     def close(self) -> None:
         """Nothing to release."""

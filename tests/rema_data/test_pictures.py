@@ -98,7 +98,7 @@ def test_the_mask_is_tinted() -> None:
 def test_the_colour_says_the_outcome(won: bool) -> None:
     step = shown("push", success=float(won))
     colour = tuple(np.asarray(tile(step))[1, 5])
-    assert colour == (pictures._GREEN if won else pictures._RED)
+    assert colour == (pictures.GREEN if won else pictures.RED)
     assert (outcome_text(step.row) == "success") == won
 
 

@@ -15,7 +15,7 @@ from click.testing import CliRunner, Result
 from PIL import Image
 
 from evaluator.cli.main import cli
-from evaluator.render.drawing import HEIGHT, WIDTH
+from evaluator.render.preview import HEIGHT, WIDTH
 from evaluator.scenarios import VERSION, update_manifest, write_list
 from evaluator.sim.footprints import inner_extents
 from evaluator.sim.shapes import boxes
@@ -119,7 +119,7 @@ def test_bad_input_is_refused_in_a_sentence(
     assert not list(lists.glob("*.png"))
 
 
-def test_without_matplotlib_the_extra_is_named(lists: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pillow_the_extra_is_named(lists: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real = builtins.__import__
 
     def without(name: str, *rest: Any, **named: Any) -> Any:

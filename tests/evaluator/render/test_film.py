@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from evaluator.render.film import FilmMaker, Take, agreement
-from evaluator.report.finished import FinishedRun
 from evaluator.sim.simulator import Simulator
 from rema_data import grid
 from rema_data.schema import Failure, ObjectSpec, Placement, Scenario, Shape, Situation, StepOutcome
@@ -34,8 +32,8 @@ def simulator() -> Iterator[Simulator]:
     found.close()
 
 
-def end_to_end(task: str) -> FinishedRun:
-    return FinishedRun(Path("run"), "random", {}, {"task": task, "protocol": "end-to-end"}, (), (), (0, 1), "")
+def played_again(films: FilmMaker, row: dict[str, Any]) -> Take:
+    return films.play(SCENARIO, "end-to-end", lambda situation: row[f"step{situation.step}_action"], row["failed_step"])
 
 
 def recorded(outcomes: list[tuple[int, StepOutcome]]) -> dict[str, Any]:
@@ -69,7 +67,7 @@ def test_an_end_to_end_episode_is_played_up_to_its_last_step(
     pushes = [int(grid.snap(x, 0.0, k * np.pi / 8)) for x in (-0.1, -0.06) for k in range(grid.ANGLES)]
     push = next(action for action in pushes if simulator.run(situation, action).success)
     row = recorded([picked, (push, simulator.run(situation, push))])
-    take = films.play(end_to_end("grasp_push"), SCENARIO, row)
+    take = played_again(films, row)
     assert take.situation == situation and take.action == push
     assert agreement(row, take) == "identical" and take.outcome.success
     assert len(take.shots) > 10
@@ -81,7 +79,7 @@ def test_an_end_to_end_episode_is_played_up_to_its_last_step(
 def test_an_episode_stops_where_it_now_goes_another_way(films: FilmMaker, picked: tuple[int, StepOutcome]) -> None:
     beside = int(grid.encode(50, 50, 0))
     row = recorded([(beside, picked[1]), (beside, StepOutcome(True, None))])
-    take = films.play(end_to_end("grasp_push"), SCENARIO, row)
+    take = played_again(films, row)
     assert take.situation.step == 0 and take.outcome.failure is Failure.MISSED
     assert agreement(row, take) == "different"
     assert take.shots  # a miss is clear without simulation, but is shown all the same
@@ -89,7 +87,7 @@ def test_an_episode_stops_where_it_now_goes_another_way(films: FilmMaker, picked
 
 def test_where_no_arm_can_move_there_is_only_a_before(films: FilmMaker) -> None:
     row = recorded([(0, StepOutcome(False, Failure.UNREACHABLE))])
-    take = films.play(end_to_end("grasp_push"), SCENARIO, row)
+    take = played_again(films, row)
     assert take.outcome.failure is Failure.UNREACHABLE and not take.shots
     assert take.before.bodies
 

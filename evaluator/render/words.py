@@ -1,0 +1,54 @@
+"""What a step did, in words: failure labels, who may touch the target, the action, and what was measured."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from evaluator.render.studio import COLOUR_NAMES
+from evaluator.sim.kinds import kind_of
+from evaluator.sim.parameters import WORLD
+from rema_data import grid
+from rema_data.schema import Failure, Situation
+
+__all__ = ["FAILURES", "action_text", "measured_text", "touching_text"]
+
+FAILURES: dict[str, str] = {
+    Failure.MISSED: "nothing that may touch the target touched it",
+    Failure.BLOCKED: "the descent landed on the target: protective stop",
+    Failure.NOT_LIFTED: "touched, but never carried",
+    Failure.SLIPPED: "left the table and was lost before the end",
+    Failure.ILLEGAL_CONTACT: "touched by something that must not touch it",
+    Failure.TOO_LITTLE: f"pushed less than {WORLD.push_success_m * 100:.0f} cm in +x",
+    Failure.TOOL_LOST: "a tool left the hand",
+    Failure.UNREACHABLE: "outside the arms' joint limits",
+    Failure.UNSTABLE: "the physics left its range of validity",
+    Failure.POLICY_ERROR: "the policy raised, took too long, or gave an answer that is not an action",
+}
+"""What a failure label means."""
+
+
+def touching_text(situation: Situation) -> str:
+    """What may touch the target, with its colour in the pictures."""
+    kind = kind_of(situation)
+    return kind.touching if kind.role is None else f"{kind.touching} ({COLOUR_NAMES[kind.role]})"
+
+
+def action_text(action: int) -> str:
+    """Grid cell and world pose of an action."""
+    i, j, k = (int(value) for value in grid.decode(action))
+    x, y, yaw = (float(value) for value in grid.to_world(action))
+    return f"i {i}, j {j}, k {k}: x {x * 1000:+.0f} mm, y {y * 1000:+.0f} mm, {math.degrees(yaw):g} degrees"
+
+
+def measured_text(situation: Situation, measured: Mapping[str, Any]) -> str:
+    """What a step measured, from the fields of its ``Evidence``."""
+    if not measured["sim_steps"]:
+        return "not simulated: nothing could touch the target, or no arm could move there"
+    moved_cm = round((measured["displacement_m"] or 0) * 100, 1) + 0.0  # no minus before a zero
+    lifted_cm, force_n = (measured["lift_m"] or 0) * 100, measured["peak_force_n"] or 0
+    pushed = kind_of(situation).measure == "displacement_m"
+    main = f"moved {moved_cm:+.1f} cm in x" if pushed else f"lifted {lifted_cm:.1f} cm"
+    force = f", {force_n:.0f} N at most in the descent" if force_n >= 0.5 else ""
+    return f"{main}{force}, {measured['sim_steps']} simulation steps"
