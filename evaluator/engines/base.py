@@ -125,7 +125,7 @@ class Engine(Protocol):
         ...
 
     def close(self) -> None:
-        """Stop whatever runs. An engine can be used again afterwards."""
+        """Stop everything that runs. An engine can be used again afterwards."""
         ...
 
 

@@ -74,7 +74,7 @@ class ProcessEngine:
 
     Notes
     -----
-    A dead worker's unfinished jobs go to others. The job it died in is tried once more, first and alone in a fresh
+    A dead worker's unfinished jobs go to others. The job it died in is tried again, first and alone in a fresh
     worker; if that dies too, the job's result is an ``InfraError`` and the run goes on. The cost beside the
     simulator is one message per job, some tens of microseconds. Batches should stay below about 200 jobs, so that
     handing one over never waits for the worker.

@@ -1,7 +1,7 @@
 """Many machines: the batches of a run through an existing Ray cluster, by actors that hold one simulator each.
 
-A simulator that dies is the business of the machine that it dies on (``ray_worker``): it is replaced there, and counted
-as the process engine counts. What is decided here is what happens when a machine, or the actor on it, goes away.
+A simulator that dies is replaced on its machine and counted there as the process engine counts (``ray_worker``). This
+module decides what happens when a machine, or the actor on it, goes away.
 """
 
 from __future__ import annotations
@@ -28,6 +28,8 @@ __all__ = ["ADDRESS", "RayEngine"]
 
 ADDRESS = "auto"
 """Address of the cluster by default: what ``RAY_ADDRESS`` says, else the one that this machine is part of."""
+_OPTIONS = {"num_cpus": 1, "max_restarts": 0, "max_task_retries": 0, "scheduling_strategy": "SPREAD"}
+"""Ray retries nothing: it would run jobs again without a count."""
 _DEPTH = 2
 """Batches given to an actor at a time, so that it never waits for the next one."""
 _POLL_S = 1.0
@@ -41,17 +43,16 @@ _KNOCK_S = 10.0
 
 @dataclasses.dataclass(slots=True, eq=False)
 class _Seat:
-    """One actor and the batches it was given, in the order in which it runs them."""
+    """One actor: its pending start (None once it is ready), and its batches in the order in which it runs them."""
 
     name: str
     actor: Any
     start: Any
     calls: deque[tuple[Any, JobBatch]] = dataclasses.field(default_factory=deque)
-    ready: bool = False
 
 
 class RayEngine:
-    """Runs batches on a Ray cluster.
+    """Runs batches on a Ray cluster, whose machines need the same version of this package.
 
     Parameters
     ----------
@@ -75,11 +76,9 @@ class RayEngine:
 
     Notes
     -----
-    Ray neither restarts actors nor retries their calls (``max_restarts=0``, ``max_task_retries=0``): both would run
-    jobs again without a count. A lost actor's place is filled by a new one wherever there is room; the jobs that it
-    was running go out again one by one, and one that loses a second actor is given up with an ``InfraError``, as an
-    episode is that costs the process engine two workers. What merely waited for the lost actor is not counted.
-    Everything a machine needs is the same version of this package.
+    A lost actor's place is filled by a new one wherever there is room. The jobs that it was running go out again one
+    by one, and one that loses a second actor is given up with an ``InfraError``, as an episode is that costs the
+    process engine two workers. What merely waited for the lost actor is not counted.
     """
 
     place = "cluster"
@@ -93,21 +92,24 @@ class RayEngine:
         same: str | None = None,
         episode_limit_s: float = 120.0,
     ) -> None:
-        self._ray = _import_ray()
+        try:
+            self._ray: Any = importlib.import_module("ray")
+        except ImportError as error:
+            raise InputError(
+                "the ray engine needs Ray, which is not installed", hint='pip install "rema[ray]"'
+            ) from error
         self.replaced = 0
-        self._workers = workers
-        self._factory, self._address, self._same, self._limit_s = factory, address or ADDRESS, same, episode_limit_s
-        if same is None and factory == SIMULATOR:
-            self._same = FINGERPRINT
+        self._workers, self._address = workers, address or ADDRESS
+        self._worker = factory, episode_limit_s
+        self._same = FINGERPRINT if same is None and factory == SIMULATOR else same
         self._expected: Any = None
-        self._ours = False  # whether the connection is to be closed again
         self._make_actor: Any = None
+        self._ours = False  # whether the connection is to be closed again
         self._seats: list[_Seat] = []
         self._waiting: deque[JobBatch] = deque()
         self._losses: dict[int, int] = {}
-        self._failed_starts = 0
+        self._failed_starts = self._number = 0
         self._may_start = self._idle_since = 0.0
-        self._number = 0
 
     @property
     def workers(self) -> int:
@@ -156,17 +158,12 @@ class RayEngine:
 
     def _connect(self) -> None:
         if not self._ray.is_initialized():
-            self._join()
+            self._join(os.environ.get("RAY_ADDRESS", ADDRESS) if self._address == ADDRESS else self._address)
         if self._make_actor is None:
-            # Who runs what again is decided in this module, where it is counted.
-            options = {"num_cpus": 1, "max_restarts": 0, "max_task_retries": 0, "scheduling_strategy": "SPREAD"}
-            self._make_actor = self._ray.remote(**options)(RayWorker)
+            self._make_actor = self._ray.remote(**_OPTIONS)(RayWorker)
             self._expected = None if self._same is None else call_in_child(self._same)
 
-    def _join(self) -> None:
-        address = self._address
-        if address == ADDRESS:
-            address = os.environ.get("RAY_ADDRESS", ADDRESS)
+    def _join(self, address: str) -> None:
         stop = signal.getsignal(signal.SIGTERM)
         try:
             _knock(address)
@@ -184,119 +181,99 @@ class RayEngine:
         self._ours = True
 
     def _stop_all(self) -> None:
-        for seat in self._seats:
-            self._kill(seat)
-        self._seats.clear()
+        while self._seats:
+            self._stop(self._seats[-1])
 
-    def _kill(self, seat: _Seat) -> None:
+    def _stop(self, seat: _Seat) -> None:
+        self._seats.remove(seat)
         with suppress(Exception):  # it may be gone, and so may the cluster
             self._ray.kill(seat.actor)
 
     def _dispatch(self, source: Iterator[JobBatch]) -> bool:
         """Give work to the actors that have little, start those that there is work for; whether any is under way."""
+        # A job that was lost shares no actor with another one: which of the two took it along would be unknown.
+        depth = 1 if self._losses else _DEPTH
         for seat in self._seats:
-            while self._has_room(seat) and (batch := self._next_batch(source)):
+            while seat.start is None and len(seat.calls) < depth:
+                batch = self._waiting.popleft() if self._waiting else next(source, None)
+                if not batch:
+                    break
                 seat.calls.append((seat.actor.run.remote(batch), batch))
-        starting = sum(not seat.ready for seat in self._seats)
+        starting = sum(seat.start is not None for seat in self._seats)
         while len(self._seats) < self.workers and time.monotonic() >= self._may_start:
             if starting >= len(self._waiting):
                 batch = next(source, None)  # one for every actor that is started
                 if not batch:
                     break
                 self._waiting.append(batch)
-            self._start()
+            actor = self._make_actor.remote(*self._worker)
+            self._seats.append(_Seat(f"r{self._number}", actor, actor.begin.remote(self._same)))
+            self._number += 1
             starting += 1
         return bool(self._waiting) or any(seat.calls for seat in self._seats)
 
-    def _has_room(self, seat: _Seat) -> bool:
-        """Whether an actor takes another batch. Who was lost before runs alone: the next one may take the actor with
-        it before the result of the first has been sent, and that one would be given up.
-        """
-        if not seat.ready or not seat.calls:
-            return seat.ready
-        alone = self._was_lost(seat.calls[-1][1]) or bool(self._waiting and self._was_lost(self._waiting[0]))
-        return len(seat.calls) < _DEPTH and not alone
-
-    def _was_lost(self, batch: JobBatch) -> bool:
-        return any(job.key in self._losses for job in batch)
-
-    def _next_batch(self, source: Iterator[JobBatch]) -> JobBatch | None:
-        return self._waiting.popleft() if self._waiting else next(source, None)
-
-    def _start(self) -> None:
-        actor = self._make_actor.remote(self._factory, self._limit_s)
-        self._seats.append(_Seat(f"r{self._number}", actor, actor.begin.remote(self._same)))
-        self._number += 1
-
     def _collect(self) -> list[JobResult]:
-        """Wait for a while for starts, results and losses; results of every batch that has come back."""
-        if any(seat.ready for seat in self._seats):
-            self._idle_since = time.monotonic()
-        awaited = [ref for seat in self._seats for ref in self._refs(seat)]
+        """Wait for a while for a start, a result or a loss; the results that came with it."""
+        awaited = {}
+        for seat in self._seats:
+            if seat.start is not None or seat.calls:
+                awaited[seat.calls[0][0] if seat.start is None else seat.start] = seat
         if not awaited:
             time.sleep(_POLL_S)
-        elif self._ray.wait(awaited, num_returns=1, timeout=_POLL_S)[0]:
-            awaited = self._ray.wait(awaited, num_returns=len(awaited), timeout=0)[0]
-            done = set(awaited)
-            return [result for seat in list(self._seats) for result in self._read(seat, done)]
-        if time.monotonic() - self._idle_since > _START_S:
+        elif done := self._ray.wait(list(awaited), num_returns=1, timeout=_POLL_S)[0]:
+            return self._read(awaited[done[0]], done[0])
+        if any(seat.start is None for seat in self._seats):
+            self._idle_since = time.monotonic()
+        elif time.monotonic() - self._idle_since > _START_S:
             raise InfrastructureError(
                 f"no actor could be placed on the Ray cluster within {_START_S:g} s",
                 hint="`ray status` shows what its CPUs are used for; ask for fewer with --workers",
             )
         return []
 
-    def _refs(self, seat: _Seat) -> list[Any]:
-        return [ref for ref, _ in seat.calls] if seat.ready else [seat.start]
-
-    def _read(self, seat: _Seat, done: set[Any]) -> list[JobResult]:
-        """Everything of one actor that has come back."""
-        results: list[JobResult] = []
+    def _read(self, seat: _Seat, done: Any) -> list[JobResult]:
+        """What came back from an actor."""
         errors = self._ray.exceptions
         try:
-            if not seat.ready and seat.start in done:
-                self._check(self._ray.get(seat.start))
-                seat.ready = True
-                self._failed_starts = 0
-            while seat.calls and seat.calls[0][0] in done:
-                found = self._ray.get(seat.calls[0][0])
-                seat.calls.popleft()
-                results.extend(self._labelled(result, seat.name) for result in found)
+            value = self._ray.get(done)
         except errors.RayTaskError as error:
-            raise _refusal(error.cause) from error
+            raise _cannot_simulate(error.cause) from error
         except errors.RayError as error:
             if getattr(error, "actor_init_failed", False):
-                raise _refusal(error) from error
-            results.extend(self._lose(seat, str(error)))
-        return results
-
-    def _labelled(self, result: JobResult, worker: str) -> JobResult:
-        return dataclasses.replace(result, worker=worker, attempt=result.attempt + self._losses.get(result.key, 0))
-
-    def _check(self, value: Any) -> None:
+                raise _cannot_simulate(error) from error
+            return self._lose(seat, str(error))
+        self._idle_since = time.monotonic()
+        if seat.start is None:
+            seat.calls.popleft()
+            return [
+                dataclasses.replace(one, worker=seat.name, attempt=one.attempt + self._losses.get(one.key, 0))
+                for one in value
+            ]
         if value != self._expected:
             raise InfrastructureError(
                 f"a machine of the Ray cluster simulates differently from this one: {self._same} is {value} there "
                 f"and {self._expected} here",
-                hint="install the same versions on machines of one kind, or evaluate one part on each kind (--batch)",
+                hint="install the same versions on machines of one kind, or evaluate one part on each kind (--shard)",
                 expected=self._expected,
                 got=value,
             )
+        seat.start, self._failed_starts = None, 0
+        return []
 
     def _lose(self, seat: _Seat, detail: str) -> list[JobResult]:
-        """Fill the place of a lost actor, hand its batches on, and give up what has been lost before."""
-        self._seats.remove(seat)
-        self._kill(seat)
+        """Hand the batches of a lost actor on, and give up the jobs that lost one before."""
+        self._stop(seat)
         self.replaced += 1
-        if not seat.ready:
+        if seat.start is not None:
             self._failed_starts += 1
             self._may_start = time.monotonic() + _RETRY_S
-            if self._failed_starts >= _FAILED_STARTS and not any(other.ready for other in self._seats):
+            if self._failed_starts >= _FAILED_STARTS and all(other.start is not None for other in self._seats):
                 raise InfrastructureError(
                     f"actors do not start on the Ray cluster: {detail.strip().splitlines()[-1]}",
                     hint="look at `ray status` and at the logs of its machines",
                     detail=detail,
                 )
+            return []
         running, *queued = [batch for _, batch in seat.calls] or [()]
         self._waiting.extendleft(queued)
         lost = []
@@ -309,21 +286,14 @@ class RayEngine:
         return lost
 
 
-def _import_ray() -> Any:
-    try:
-        return importlib.import_module("ray")
-    except ImportError as error:
-        raise InputError("the ray engine needs Ray, which is not installed", hint='pip install "rema[ray]"') from error
-
-
 def _knock(address: str) -> None:
-    """Raise an OSError where nobody listens at a HOST:PORT: Ray itself would try for minutes."""
+    """Raise an OSError where nothing listens at a HOST:PORT: Ray itself would try for minutes."""
     host, colon, port = address.rpartition("://")[2].rpartition(":")
     if colon and port.isdigit():
         socket.create_connection((host.strip("[]"), int(port)), _KNOCK_S).close()
 
 
-def _refusal(cause: BaseException) -> InfrastructureError:
+def _cannot_simulate(cause: BaseException) -> InfrastructureError:
     """Why an actor will never work, as an error of ours."""
     if isinstance(cause, InfrastructureError):
         return cause
