@@ -177,6 +177,13 @@ class _Collection:
             "fingerprint": self.fingerprint,
         }
 
+    def work_identity(self) -> dict[str, Any]:
+        """Whom a work folder belongs to: episodes made by other code of the world are not mixed with these.
+
+        A finished release does not depend on the code: that of drawing and of the command line never counts.
+        """
+        return {**self.data_identity(), "code": self.backend.observation_hash}
+
     def plan_sha256(self) -> str:
         """Identity of the plan: its meaning, its policies and the simulator."""
         parent = None if self.parent is None else self.parent.manifest.sha256
@@ -222,9 +229,7 @@ class _Collection:
             return found
         self.check_name()
         check_players(self.plan.blocks, str(self.plan.path))
-        # Episodes made by other code must not be mixed; a finished release is not affected by it.
-        identity = self.data_identity() | {"code": self.backend.observation_hash}
-        with WorkFolder.locked(self.work, identity) as work:
+        with WorkFolder.locked(self.work, self.work_identity()) as work:
             found = self.sealed()  # by a process that we may have waited for
             if found is None:
                 self.play(work, start_engine)

@@ -122,7 +122,7 @@ class Player:
                     yield done.chunk, done.episodes(self._seed)
 
     def _job_batches(self, chunks: Iterator[Chunk]) -> Iterator[JobBatch]:
-        """Work for the engine whenever it asks; an empty batch where there is none until a result comes in."""
+        """Work for the engine whenever it asks; an empty batch to be asked again after a result."""
         while True:
             if self._ready:
                 yield self._ready.popleft()

@@ -184,7 +184,7 @@ def _difference(recorded: Any, wanted: dict[str, Any]) -> str:
 
 
 def _sweep(path: Path) -> None:
-    """Remove the temporary files of a process that was killed; the lock says that nobody is writing now."""
+    """Remove the temporary files of a process that was killed; the lock says that no process is writing now."""
     for folder, pattern in ((path, ".plan.json.*"), (path / "chunks", ".*.npz.*")):
         for left in folder.glob(pattern):
             left.unlink(missing_ok=True)

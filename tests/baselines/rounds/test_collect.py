@@ -295,7 +295,7 @@ def test_a_policy_that_cannot_be_loaded_is_known_at_once(tmp_path: Path) -> None
     @contextmanager
     def broken(spec: Any, *_: Any) -> Any:
         if spec.name == "scripted":  # it plays in the second round only
-            raise SubmissionError("policy scripted cannot be used", hint="mend it")
+            raise SubmissionError("policy scripted cannot be used", hint="fix it")
         yield FakePolicyProcess()
 
     with pytest.raises(SubmissionError):
