@@ -20,7 +20,7 @@ __all__ = ["evaluate"]
 @click.option("--checkpoint", type=click.Path(path_type=Path), help="Weights, handed to the policy.")
 @click.option("--episodes", type=click.IntRange(min=1), default=10_000, show_default=True, help="First N scenarios.")
 @engine_options
-@click.option("--shard", metavar="I/N", help="Play this part of the scenarios; `rema merge` puts them together.")
+@click.option("--shard", metavar="I/N", help="Play this shard of the scenarios; `rema merge` merges them.")
 @click.option("--protocol", type=click.Choice(list(PROTOCOLS)), default="conditional", show_default=True)
 @click.option("--split", type=click.Choice(["test", "val"]), default="test", show_default=True)
 @click.option("--output", type=click.Path(path_type=Path), help="Run folder.  [default: runs/POLICY-TASK-PROTOCOL]")

@@ -37,7 +37,7 @@ class TaskEnv(gymnasium.Env[dict[str, Any], np.int64]):
     protocol : {"conditional", "end-to-end"}
         Only the last step, with tools in hand; or every step, from empty hands.
     domain : {"train", "test", "val"}
-        Where the scenarios of ``reset`` come from: drawn anew by default, or from a frozen list.
+        Where the scenarios of ``reset`` come from: new ones by default, or a frozen list.
     render_mode : {"rgb_array"}, optional
 
     Raises

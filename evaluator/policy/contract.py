@@ -67,17 +67,6 @@ class ObservationBatch:
             end_effector = np.broadcast_to(shared, (len(scene), *shared.shape))
         else:
             end_effector = np.stack([one.end_effector() for one in observations])
-        return cls.of_maps(situation, scene, end_effector, valid)
-
-    @classmethod
-    def of_maps(
-        cls,
-        situation: Situation,
-        scene: npt.NDArray[np.float32],
-        end_effector: npt.NDArray[np.float32],
-        valid: npt.NDArray[np.bool_],
-    ) -> ObservationBatch:
-        """The same from maps that are floats already."""
         return cls(
             scene=scene,
             end_effector=end_effector,

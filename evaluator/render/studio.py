@@ -274,29 +274,25 @@ class Studio:
         return self._box(centre, (0.0125, 0.008, (bottom - palm) / 2), _CARRIAGE, state[5])
 
     def _show(self, body: Body) -> int:
-        parts = boxes(body.spec)
-        shape = self._client.createVisualShapeArray(
-            shapeTypes=[pybullet.GEOM_BOX] * len(parts),
-            halfExtents=[[part.half_x, part.half_y, body.spec.height_m / 2] for part in parts],
-            visualFramePositions=[[part.x, part.y, 0.0] for part in parts],
-            rgbaColors=[COLOURS[body.role]] * len(parts),
-        )
-        return int(self._client.createMultiBody(0, -1, shape, body.position, body.quaternion))
+        return self._object(body, COLOURS[body.role], 0.0, body.spec.height_m / 2, body.position, body.quaternion)
 
     def _shade(self, body: Body) -> int:
         """The shadow of an object under light from above (TinyRenderer's own lays the whole table in the dark)."""
-        yaw = self._client.getEulerFromQuaternion(body.quaternion)[2]
+        x, y, _ = body.position
+        half = self._client.getEulerFromQuaternion(body.quaternion)[2] / 2
+        return self._object(body, _SHADE, 0.003, 0.0002, (x, y, 0.0004), (0.0, 0.0, math.sin(half), math.cos(half)))
+
+    def _object(
+        self, body: Body, colour: Colour, rim: float, half_z: float, position: Sequence[float], turn: Sequence[float]
+    ) -> int:
         parts = boxes(body.spec)
         shape = self._client.createVisualShapeArray(
             shapeTypes=[pybullet.GEOM_BOX] * len(parts),
-            halfExtents=[[part.half_x + 0.003, part.half_y + 0.003, 0.0002] for part in parts],
+            halfExtents=[[part.half_x + rim, part.half_y + rim, half_z] for part in parts],
             visualFramePositions=[[part.x, part.y, 0.0] for part in parts],
-            rgbaColors=[_SHADE] * len(parts),
+            rgbaColors=[colour] * len(parts),
         )
-        x, y, _ = body.position
-        return int(
-            self._client.createMultiBody(0, -1, shape, (x, y, 0.0004), (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)))
-        )
+        return int(self._client.createMultiBody(0, -1, shape, position, turn))
 
     def _box(
         self, centre: Sequence[float], half: Sequence[float], colour: Colour, quaternion: Sequence[float] = (0, 0, 0, 1)

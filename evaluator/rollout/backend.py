@@ -45,7 +45,7 @@ class Backend:
     valid_actions : callable
         (task, step) to bool (64, 64, 16).
     observation_hash : str
-        Identity of whatever ``observe`` depends on.
+        Identity of everything that ``observe`` depends on.
     simulator : str
         ``module:attribute`` of the simulator's factory.
     fingerprint : str

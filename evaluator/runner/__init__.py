@@ -1,8 +1,7 @@
-"""The judge's main loop: ``run_evaluation`` takes a policy through observe, infer and simulate.
+"""One evaluation: ``run_evaluation`` takes a policy through observe, infer and simulate.
 
-Read in this order: ``config`` (what is asked), ``run`` (the loop), ``plan`` (who is alive), ``observe`` and ``bank``,
-``infer``, ``simulate``, ``audit`` (1 % once more), ``folder`` (``run.json`` and resuming), ``environment``, ``tally``
-and ``summary``, ``backend`` (what tests exchange).
+Read in this order: ``config`` (what is asked), ``run`` (the loop), ``observe`` and ``observation_cache``, ``infer``,
+``audit`` (1 % again), ``finalize`` (tables, summary, seal), ``shards`` and ``merge``, ``quick``.
 """
 
 from __future__ import annotations

@@ -62,7 +62,7 @@ class EvaluationConfig:
     Raises
     ------
     InputError
-        A value is none of those.
+        A value is not allowed.
     """
 
     policy: PolicySpec

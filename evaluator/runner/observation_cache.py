@@ -7,11 +7,11 @@ parameters that observe them, so a file is never stale; its content carries a ch
 from __future__ import annotations
 
 import hashlib
-import json
+import io
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,9 +23,11 @@ from rema_data.storage import write_atomic
 
 __all__ = ["Block", "ObservationCache"]
 
-FORMAT = "rema observation bank 2"
+FORMAT = "rema observation cache 3"
 _EE = (2, grid.EE_PIXELS, grid.EE_PIXELS)
 _SCENE = (grid.SCENE_PIXELS, grid.SCENE_PIXELS)
+_CHECKSUM, _SIZE = 32, 8
+"""Bytes of the two fields before the arrays."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,7 +102,7 @@ class ObservationCache:
         """The block of these situations, made again where the file is missing or damaged."""
         path = self._path(situations)
         found = _payload(path)
-        return self._make(path, situations) if found is None else _decode(*found)
+        return self._make(path, situations) if found is None else _decode(found)
 
     def _make(self, path: Path, situations: Sequence[Situation]) -> Block:
         scenes = np.empty((len(situations), *_SCENE), np.uint16)
@@ -130,45 +132,28 @@ class ObservationCache:
 
 
 def _encode(block: Block) -> bytes:
-    """One line of JSON (sizes, checksum), then the compressed arrays."""
+    """Checksum, size of the arrays as an npz file, and that file compressed."""
+    buffer = io.BytesIO()
     masks = np.packbits(block.masks.reshape(len(block.masks), -1), axis=1)
-    raw = b"".join(np.ascontiguousarray(a).tobytes() for a in (block.scenes, block.which, block.depths, masks))
-    packed: bytes = pa.Codec("zstd", compression_level=1).compress(raw, asbytes=True)
-    sizes = {"observations": len(block.scenes), "effectors": len(block.depths), "bytes": len(raw)}
-    header = {"format": FORMAT, **sizes, "sha256": _checksum(sizes, packed)}
-    return json.dumps(header).encode() + b"\n" + packed
+    np.savez(buffer, scenes=block.scenes, which=block.which, depths=block.depths, masks=masks)
+    packed: bytes = pa.Codec("zstd", compression_level=1).compress(buffer.getbuffer(), asbytes=True)
+    content = buffer.getbuffer().nbytes.to_bytes(_SIZE, "big") + packed
+    return hashlib.sha256(content).digest() + content
 
 
-def _checksum(sizes: dict[str, int], packed: bytes) -> str:
-    return hashlib.sha256(json.dumps(sizes, sort_keys=True).encode() + b"\n" + packed).hexdigest()
-
-
-def _payload(path: Path) -> tuple[dict[str, Any], bytes] | None:
-    """Header and compressed arrays of a file, or None where it is missing or not what was written."""
+def _payload(path: Path) -> bytes | None:
+    """What follows the checksum of a file, or None where the file is missing or not what was written."""
     try:
-        head, _, packed = path.read_bytes().partition(b"\n")
-        header = json.loads(head)
-        sizes = {name: header[name] for name in ("observations", "effectors", "bytes")}
-        if header["format"] == FORMAT and header["sha256"] == _checksum(sizes, packed):
-            return header, packed
-    except (OSError, ValueError, KeyError, TypeError):
-        pass
-    return None
+        data = path.read_bytes()
+    except OSError:
+        return None
+    content = data[_CHECKSUM:]
+    return content if hashlib.sha256(content).digest() == data[:_CHECKSUM] else None
 
 
-def _decode(header: dict[str, Any], packed: bytes) -> Block:
-    raw = pa.Codec("zstd").decompress(packed, header["bytes"], asbytes=True)
-    n, u = header["observations"], header["effectors"]
-    pixels = int(np.prod(_EE))
-    offset = 0
-
-    def take(dtype: type[np.generic], *shape: int) -> npt.NDArray[np.generic]:
-        nonlocal offset
-        part = np.frombuffer(raw, dtype, int(np.prod(shape)), offset).reshape(shape)
-        offset += part.nbytes
-        return part
-
-    scenes, which = take(np.uint16, n, *_SCENE), take(np.uint32, n)
-    depths, masks = take(np.uint16, u, *_EE), take(np.uint8, u, (pixels + 7) // 8)
-    unpacked = np.unpackbits(masks, axis=1, count=pixels).astype(bool).reshape(u, *_EE)  # type: ignore[arg-type]
-    return Block(scenes, which, depths, unpacked)  # type: ignore[arg-type]
+def _decode(content: bytes) -> Block:
+    raw = pa.Codec("zstd").decompress(content[_SIZE:], int.from_bytes(content[:_SIZE], "big"), asbytes=True)
+    with np.load(io.BytesIO(raw), allow_pickle=False) as arrays:
+        scenes, which, depths, masks = (arrays[name] for name in ("scenes", "which", "depths", "masks"))
+    unpacked = np.unpackbits(masks, axis=1, count=math.prod(_EE)).astype(bool).reshape(len(depths), *_EE)
+    return Block(scenes, which, depths, unpacked)

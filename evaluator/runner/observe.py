@@ -40,7 +40,7 @@ class Batch:
 
 
 def batches(alive: Mapping[int, Situation], batch_size: int) -> list[Batch]:
-    """The questions of one step: fixed by the order of the scenarios, whatever has been answered before.
+    """The questions of one step: fixed by the order of the scenarios, independent of earlier answers.
 
     Parameters
     ----------

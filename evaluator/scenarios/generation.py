@@ -76,7 +76,7 @@ def _draw_chunk(job: tuple[str, str, range]) -> list[Drawn]:
 
 
 def generate_list(task: str, split: str, count: int, pool: Executor) -> Iterator[Drawn]:
-    """Scenarios 0 to ``count`` - 1 of a list, in order, whatever the number of workers."""
+    """Scenarios 0 to ``count`` - 1 of a list, in order, for any number of workers."""
     jobs = [(check_task(task), split, range(start, min(start + _CHUNK, count))) for start in range(0, count, _CHUNK)]
     for chunk in pool.map(_draw_chunk, jobs):
         yield from chunk

@@ -110,7 +110,7 @@ def test_more_episodes_extend_a_run(fake_home: Path) -> None:
     run(fake_home / "run", episodes=100)
     process = FakePolicyProcess()
     assert run(fake_home / "run", process, episodes=300)["episodes"] == 300
-    assert process.asked == 236  # whole batches of 64: the 36 known answers of the second are not taken anew
+    assert process.asked == 236  # whole batches of 64: the 36 known answers of the second are not replaced
     assert table(fake_home / "run") == table(fake_home / "whole")
     with pytest.raises(RunMismatchError, match="episodes are 300"):
         run(fake_home / "run", episodes=200)
@@ -157,7 +157,7 @@ def test_conditional_summary(fake_home: Path) -> None:
     assert header["seal"]["merkle_root"] == summary["merkle_root"] and header["seal"]["unfinished"] == 0
 
 
-def test_the_walls_around_the_policy_are_recorded(fake_home: Path) -> None:
+def test_the_sandbox_of_the_policy_is_recorded(fake_home: Path) -> None:
     class Walls:
         def to_dict(self) -> dict[str, Any]:
             return {"level": "L2", "up": {"files": "Landlock"}}
@@ -311,12 +311,12 @@ def test_values_that_cannot_be(tmp_path: Path, change: dict[str, Any]) -> None:
 
 def test_a_folder_without_records_is_taken_over(fake_home: Path) -> None:
     def refuse(*_: Any) -> Any:
-        raise SubmissionError("policy cannot be used", hint="mend it and run the same command again")
+        raise SubmissionError("policy cannot be used", hint="fix it and run the same command again")
 
     output = fake_home / "run"
     with pytest.raises(SubmissionError):
         run_evaluation(fake_config(output, episodes=50), backend=fake_backend(digest="broken", open_policy=refuse))
-    assert run_evaluation(fake_config(output, episodes=40), backend=fake_backend(digest="mended")).summary["eligible"]
+    assert run_evaluation(fake_config(output, episodes=40), backend=fake_backend(digest="fixed")).summary["eligible"]
     with pytest.raises(RunMismatchError, match="policy_digest"):
         run_evaluation(fake_config(output, episodes=40), backend=fake_backend(digest="third"))
 
