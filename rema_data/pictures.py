@@ -31,6 +31,7 @@ __all__ = [
     "LEGEND",
     "RED",
     "SUFFIXES",
+    "action_text",
     "contact_sheet",
     "describe",
     "end_effector_map",
@@ -70,7 +71,6 @@ _TOP_M = 0.05
 def describe(row: Mapping[str, Any]) -> tuple[str, str, str, str]:
     """Where a step comes from, who acted, the action, and the evidence, each in one line."""
     steps = len(TASKS[row["task"]])
-    x_mm, y_mm, degrees = row["x_m"] * 1000, row["y_m"] * 1000, math.degrees(row["theta_rad"])
     evidence = f"lifted {row['lift_m'] * 100:.1f} cm"
     if row["primitive"] == "push":
         evidence = f"moved {row['displacement_m'] * 100:+.1f} cm in x"
@@ -79,9 +79,15 @@ def describe(row: Mapping[str, Any]) -> tuple[str, str, str, str]:
     return (
         f"{row['task']}, step {row['step'] + 1} of {steps}",
         f"round {row['round']} {row['split']}, episode {row['episode']}, {row['policy']}",
-        f"i {row['i']}, j {row['j']}, k {row['k']}: x {x_mm:+.0f} mm, y {y_mm:+.0f} mm, {degrees:g} degrees",
+        action_text((row["i"], row["j"], row["k"]), (row["x_m"], row["y_m"], row["theta_rad"])),
         f"{evidence}, {row['sim_steps']} simulation steps",
     )
+
+
+def action_text(cell: tuple[int, int, int], pose: tuple[float, float, float]) -> str:
+    """Grid cell and world pose (m, rad) of an action."""
+    (i, j, k), (x_m, y_m, yaw_rad) = cell, pose
+    return f"i {i}, j {j}, k {k}: x {x_m * 1000:+.0f} mm, y {y_m * 1000:+.0f} mm, {math.degrees(yaw_rad):g} degrees"
 
 
 def outcome_text(row: Mapping[str, Any]) -> str:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from evaluator.render.film import Take, markers
 from evaluator.render.studio import Studio
-from evaluator.render.words import FAILURES, action_text, measured_text, touching_text
+from evaluator.render.words import FAILURES, measured_text, touching_text
 from evaluator.rollout.ask import actions, ask
 from evaluator.rollout.backend import default_backend
 from evaluator.sim.kinds import kind_of
@@ -21,7 +21,7 @@ from evaluator.sim.parameters import WORLD
 from evaluator.sim.reach import valid_actions
 from rema_data import grid, pictures
 from rema_data.errors import InputError, SubmissionError
-from rema_data.schema import Action, Situation
+from rema_data.schema import Action, Situation, to_dict
 from rema_data.storage import write_atomic
 
 if TYPE_CHECKING:
@@ -144,9 +144,9 @@ def draw(take: Take, title: str) -> Image.Image:
     write(14, 12, title, 21)
     word = "SUCCESS" if outcome.success else f"FAILED: {outcome.failure}"
     pictures.write_text(pen, (WIDTH - 14, 12), word, 21, pictures.GREEN if outcome.success else pictures.RED, "ra")
-    label = "" if outcome.failure is None else f": {outcome.failure.replace('_', ' ')}"
+    after = f"after: {pictures.outcome_text(to_dict(outcome))}"
     with Studio() as studio:
-        for left, shot, text in ((2, take.before, "before"), (642, take.after, f"after{label}")):
+        for left, shot, text in ((2, take.before, "before"), (642, take.after, after)):
             photo = studio.picture(shot, markers(situation, take.action), _PHOTO)
             picture.paste(photo, (left, 48))
             pen.rectangle((left + 8, 54, left + 22 + pen.textlength(text, font_size=16), 78), fill="white")
@@ -168,12 +168,12 @@ def draw(take: Take, title: str) -> Image.Image:
 
 
 def _caption(take: Take) -> list[str]:
-    situation, outcome = take.situation, take.outcome
+    situation, outcome, action = take.situation, take.outcome, Action(take.action)
     arm = {"both": "both arms", "none": "no arm"}.get(outcome.arm, f"the {outcome.arm} arm")
     why = "" if outcome.failure is None else f"{FAILURES[outcome.failure]}; "
     return [
         f"step {situation.step + 1}: {situation.kind.primitive}; {touching_text(situation)} may touch the target "
         f"(red, {situation.target.spec.shape})",
-        f"action {action_text(take.action)}; {arm}",
+        f"action {pictures.action_text(action.cell, action.pose)}; {arm}",
         f"{why}{measured_text(situation, outcome.evidence())}",
     ]

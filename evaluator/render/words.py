@@ -1,18 +1,16 @@
-"""What a step did, in words: failure labels, who may touch the target, the action, and what was measured."""
+"""What a step did, in words: failure labels, what may touch the target, and what was measured."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
 from evaluator.render.studio import COLOUR_NAMES
 from evaluator.sim.kinds import kind_of
 from evaluator.sim.parameters import WORLD
-from rema_data import grid
 from rema_data.schema import Failure, Situation
 
-__all__ = ["FAILURES", "action_text", "measured_text", "touching_text"]
+__all__ = ["FAILURES", "measured_text", "touching_text"]
 
 FAILURES: dict[str, str] = {
     Failure.MISSED: "nothing that may touch the target touched it",
@@ -33,13 +31,6 @@ def touching_text(situation: Situation) -> str:
     """What may touch the target, with its colour in the pictures."""
     kind = kind_of(situation)
     return kind.touching if kind.role is None else f"{kind.touching} ({COLOUR_NAMES[kind.role]})"
-
-
-def action_text(action: int) -> str:
-    """Grid cell and world pose of an action."""
-    i, j, k = (int(value) for value in grid.decode(action))
-    x, y, yaw = (float(value) for value in grid.to_world(action))
-    return f"i {i}, j {j}, k {k}: x {x * 1000:+.0f} mm, y {y * 1000:+.0f} mm, {math.degrees(yaw):g} degrees"
 
 
 def measured_text(situation: Situation, measured: Mapping[str, Any]) -> str:

@@ -10,12 +10,13 @@ import numpy as np
 from evaluator.render.film import FilmMaker, Take, agreement
 from evaluator.render.images import Photographs, draw_action, draw_scores, photograph
 from evaluator.render.studio import Studio
-from evaluator.render.words import FAILURES, action_text, measured_text, touching_text
+from evaluator.render.words import FAILURES, measured_text, touching_text
 from evaluator.report.finished import FinishedRun, Row
 from evaluator.report.scores import Scored
 from evaluator.report.selection import Chosen
+from rema_data.pictures import action_text
 from rema_data.progress import Progress
-from rema_data.schema import TASKS, Failure, Scenario
+from rema_data.schema import TASKS, Action, Failure, Scenario
 
 __all__ = ["MARKUP", "Card", "fit", "make_cards", "with_scores"]
 
@@ -129,14 +130,14 @@ def _step_text(run: FinishedRun, step: int) -> str:
 
 def _facts(row: Row, take: Take) -> list[tuple[str, str]]:
     """What was done and what was recorded of it."""
-    situation = take.situation
+    situation, action = take.situation, Action(take.action)
     spec, step = situation.target.spec, situation.step
     arm = row[f"step{step}_arm"]
     across = f", second bar {spec.arm_m * 100:.1f} cm" if spec.arm_m else ""
     facts = [
         ("target (red)", f"{spec.shape.value}, {spec.length_m * 100:.1f} x {spec.width_m * 100:.1f} cm{across}"),
         ("may touch it", touching_text(situation)),
-        ("action", action_text(take.action)),
+        ("action", action_text(action.cell, action.pose)),
     ]
     if arm in ("left", "right", "both"):
         facts.append(("acting", "both arms" if arm == "both" else f"{arm} arm"))

@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.policy import ObservationBatch, PolicyFault, PolicyHost
+from evaluator.policy import PolicyFault, PolicyHost
 from evaluator.policy.load_errors import printable
 from evaluator.policy.loading import PolicySpec, digest
 from evaluator.report.breakdown import Group, group
 from evaluator.report.finished import FinishedRun, Row
 from evaluator.report.selection import spread
-from evaluator.sim.observation import observe
-from evaluator.sim.reach import valid_actions
+from evaluator.rollout.ask import question
+from evaluator.rollout.backend import default_backend
 from rema_data import grid
 from rema_data.errors import RunMismatchError, SubmissionError
 from rema_data.schema import Scenario, Situation
@@ -143,16 +143,15 @@ def ask_scores(
 
 def _ask(host: PolicyHost, questions: Sequence[tuple[Situation, int]]) -> list[Scored]:
     """Scores of some questions about the same step, put at once."""
-    first, actions = questions[0][0], np.array([action for _, action in questions])
-    seen = [observe(situation) for situation, _ in questions]
-    batch = ObservationBatch.of(first, seen, valid_actions(first.task, first.step))
+    actions = np.array([action for _, action in questions])
+    batch = question(default_backend(), [situation for situation, _ in questions])
     scores = host.maps(batch)
     if isinstance(scores, PolicyFault):
         raise _no_maps(host, scores.detail)
     i, j, k = grid.decode(actions)
     if (k >= scores.shape[3]).any():
         raise _no_maps(host, "maps has no score for an angle that the policy chose")
-    chosen = scores[np.arange(len(seen)), i, j, k]
+    chosen = scores[np.arange(len(batch)), i, j, k]
     allowed = np.where(batch.valid[..., : scores.shape[3]], scores, np.float32(-np.inf)).max(axis=3)
     best = np.where(np.isfinite(allowed), allowed, np.float32(np.nan))
     return [Scored(float(one), places) for one, places in zip(chosen, best, strict=True)]
