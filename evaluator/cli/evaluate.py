@@ -64,8 +64,7 @@ def evaluate(
     # Imported here, so that a mistyped option is answered at once.
     from evaluator.cli.progress import StderrProgress
     from evaluator.cli.result import print_result
-    from evaluator.policy.loading import check_checkpoint, resolve
-    from evaluator.policy.shipped import shipped_checkpoint
+    from evaluator.policy.loading import resolve, weights_of
     from evaluator.runner import EvaluationConfig, run_evaluation
     from evaluator.runner.shards import Part
 
@@ -78,7 +77,7 @@ def evaluate(
         policy=spec,
         task=task,
         output=output or Path("runs") / name,
-        checkpoint=check_checkpoint(checkpoint) or shipped_checkpoint(spec.name),
+        checkpoint=weights_of(spec, checkpoint),
         device=device,
         protocol=protocol,
         split=split,

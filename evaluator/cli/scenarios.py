@@ -41,15 +41,14 @@ def scenarios(
     """
     from evaluator.cli.progress import StderrProgress
     from evaluator.engines import default_workers
-    from evaluator.policy.loading import check_checkpoint, resolve
-    from evaluator.policy.shipped import shipped_checkpoint
+    from evaluator.policy.loading import resolve, weights_of
     from evaluator.scenarios.generation import Picker, write_lists
     from rema_data.storage import rema_home
 
     chosen = None
     if picker is not None:
         spec = resolve(picker)
-        weights = check_checkpoint(checkpoint) or shipped_checkpoint(spec.name)
+        weights = weights_of(spec, checkpoint)
         # Not beside the lists: what lies in manifests/ is frozen and published.
         chosen = Picker(spec, weights, rema_home() / "logs" / f"scenarios-{version}.log", device)
     counts = {"test": test_count, "val": val_count}

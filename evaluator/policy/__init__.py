@@ -17,15 +17,15 @@ from __future__ import annotations
 from evaluator.policy.contract import ObservationBatch, Policy, PrivilegedPolicy
 from evaluator.policy.faults import Answer, PolicyFault
 from evaluator.policy.host import PolicyHost
-from evaluator.policy.loading import BUILT_INS, PolicySpec, digest, resolve
+from evaluator.policy.loading import PolicySpec, digest, resolve, weights_of
+from evaluator.policy.named import NamedPolicy, find_named, kind_of, policy_names
 from evaluator.policy.sandbox.isolation import Isolation, Wall
 from evaluator.policy.sandbox.limits import PolicyLimits
-from evaluator.policy.shipped import shipped_checkpoint
 
 __all__ = [
-    "BUILT_INS",
     "Answer",
     "Isolation",
+    "NamedPolicy",
     "ObservationBatch",
     "Policy",
     "PolicyFault",
@@ -35,6 +35,9 @@ __all__ = [
     "PrivilegedPolicy",
     "Wall",
     "digest",
+    "find_named",
+    "kind_of",
+    "policy_names",
     "resolve",
-    "shipped_checkpoint",
+    "weights_of",
 ]

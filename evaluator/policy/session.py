@@ -13,7 +13,7 @@ import numpy.typing as npt
 from evaluator.policy.contract import ObservationBatch
 from evaluator.policy.faults import FaultReason, PolicyFault
 from evaluator.policy.load_errors import Refusal, printable, refusal_hint
-from evaluator.policy.loading import BUILT_INS, PolicySpec, check_checkpoint
+from evaluator.policy.loading import PolicySpec, check_checkpoint
 from evaluator.policy.output import CappedOutput
 from evaluator.policy.process import ChildDeath, ChildGreed, ChildNoise, ChildProcess, ChildTimeout
 from evaluator.policy.sandbox.isolation import Isolation, isolation_of
@@ -254,8 +254,8 @@ class PolicySession:
 
     def _refusal(self, refusal: Refusal) -> SubmissionError:
         self._drop()
-        if self.spec.name in BUILT_INS and refusal.mended_by_its_message:
-            # Its code is rema's, and needs no mending: its checkpoint does.
+        if self.spec.named is not None and refusal.mended_by_its_message:
+            # Its code is a package's: what needs a fix is its checkpoint.
             return SubmissionError(f"policy {self.spec.name} cannot be used: {refusal.message}", path=self.spec.path)
         where = refusal.where
         hint = refusal_hint(

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import evaluator
 import rema_data
+from evaluator.policy.imports import outermost_folder
 from rema_data.errors import MissingFileError
 from rema_data.manifests import manifests_dir
 from rema_data.storage import rema_home
@@ -84,7 +85,7 @@ def allowed_for(
     survey = _Survey(frozenset(path.resolve() for path in (*secrets(), *hidden)))
     for root in (*_SYSTEM, *(f"/etc/{name}" for name in _ETC)):
         survey.add(Path(root))
-    for folder in (*_python_folders(environment), policy.parent):
+    for folder in (*_python_folders(environment), outermost_folder(policy)):
         survey.add(folder)
     if checkpoint is not None:
         survey.add(checkpoint)
