@@ -46,6 +46,7 @@ VERBS: dict[str, Verb] = {
     "collect": Verb("baselines.rounds.command:collect", "Run a collection plan and seal a release."),
     "train": Verb("baselines.train.command:train", "Train a network on a release."),
     "rounds": Verb("baselines.rounds.recursion_command:rounds", "Collect and train in rounds, as a plan says."),
+    "check": Verb("evaluator.cli.check:check", "Check a policy in seconds: what would be refused, and why."),
     "evaluate": Verb("evaluator.cli.evaluate:evaluate", "Score a policy on frozen scenarios."),
     "merge": Verb("evaluator.cli.merge:merge", "Put the shards of an evaluation together."),
     "replay": Verb("evaluator.cli.replay:replay", "Check a finished run by simulating its actions again."),

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evaluator.leaderboard.eligibility import ACTION_FLIP_LIMIT, obstacles
+from evaluator.leaderboard.eligibility import obstacles
 from evaluator.leaderboard.published import published_table
 from evaluator.leaderboard.row import TAGS
 from evaluator.policy.named import is_reserved
+from evaluator.protocol import ACTION_FLIP_LIMIT
 from evaluator.run.counts import same_numbers
 from evaluator.run.entry import Entry, check_link, check_name
 from evaluator.run.header import isolation_level

@@ -25,6 +25,8 @@ _WARNINGS = 3  # failed batches that are logged as warnings: the counts are in t
 class PolicyHost(PolicySession):
     """A policy in its own process, as a context manager: see ``PolicySession`` for what it is made of and raises."""
 
+    returned = ""
+    """Type and shape of the last array that the policy returned."""
     _warned = 0
 
     def act(self, batch: ObservationBatch, situations: tuple[Situation, ...] | None = None) -> list[Answer]:
@@ -82,6 +84,7 @@ class PolicyHost(PolicySession):
             return reply
         header, arrays = reply
         if header.get("ok") is True and "answer" in arrays:
+            self.returned = f"{arrays['answer'].dtype} {_shape(arrays['answer'])}"
             return check_answer(arrays["answer"], batch.valid)
         fault = reported_fault(header)
         return fault if fault.reason == FaultReason.EXCEPTION else [fault] * len(batch)
@@ -106,3 +109,7 @@ class PolicyHost(PolicySession):
         if header.get("ok") is True and "answer" in arrays:
             return check_maps(arrays["answer"], len(batch))
         return reported_fault(header)
+
+
+def _shape(answer: npt.NDArray[np.generic]) -> str:
+    return "(N,)" if answer.ndim == 1 else f"(N, {', '.join(map(str, answer.shape[1:]))})"

@@ -137,6 +137,13 @@ class ChildProcess:
         """Process id."""
         return self._process.pid
 
+    def peak_memory_bytes(self) -> int | None:
+        """Most memory that the process held at a time; None where the system does not say."""
+        with contextlib.suppress(OSError, ValueError, IndexError):
+            status = Path(f"/proc/{self.pid}/status").read_text()
+            return 1024 * int(status.split("VmHWM:")[1].split()[0])
+        return None
+
     def ask(
         self, parts: Iterable[bytes | memoryview], seconds: float, reply_bytes: int
     ) -> tuple[dict[str, Any], dict[str, npt.NDArray[np.generic]]]:

@@ -109,6 +109,16 @@ class PolicySession:
         return self._isolation
 
     @property
+    def waited_s(self) -> float:
+        """Seconds that all questions together took, the start of the process included."""
+        return self._waited_s + (0.0 if self._child is None else self._child.waited_s)
+
+    @property
+    def peak_memory_bytes(self) -> int | None:
+        """Most memory that the present process held at a time; None where the system does not say."""
+        return None if self._child is None else self._child.peak_memory_bytes()
+
+    @property
     def output(self) -> str:
         """The kept part of what the policy printed."""
         return self._output.text()
@@ -192,8 +202,7 @@ class PolicySession:
         """Seconds that the whole run may still wait for the policy."""
         if self._overdrawn:
             return 0.0
-        waited_s = self._waited_s + (0.0 if self._child is None else self._child.waited_s)
-        return self._limits.run_s + self._limits.observation_s * self._asked - waited_s
+        return self._limits.run_s + self._limits.observation_s * self._asked - self.waited_s
 
     def _overdraw(self) -> PolicyFault:
         """The fault of every observation from now on."""

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluator.policy import ObservationBatch, PolicyFault
+from evaluator.protocol import FAULT_LIMIT
 from evaluator.rollout.backend import PolicyProcess
 from evaluator.run.records import Answered, Ledger
 from evaluator.runner.observation_cache import Block, ObservationBank
@@ -16,10 +17,8 @@ from rema_data.errors import PolicyFailureError
 from rema_data.progress import Progress
 from rema_data.schema import Situation
 
-__all__ = ["FAULT_CHECK", "FAULT_LIMIT", "check_faults", "infer_batches"]
+__all__ = ["FAULT_CHECK", "check_faults", "infer_batches"]
 
-FAULT_LIMIT = 0.10
-"""Largest share of answers that may be faults."""
 FAULT_CHECK = 100
 """The share is looked at while the policy is asked once so many answers are there, and at the end in any case."""
 

@@ -112,7 +112,7 @@ def test_the_published_networks_are_whole() -> None:
 
 @pytest.mark.parametrize(("policy", "task"), [("tae-joint", "grasp_push"), ("tae-separate", "push")])
 def test_the_published_networks_play(policy: str, task: str, tmp_path: Path) -> None:
-    """With nothing but a name, as the README has it, and the evaluator never has torch or the network in its process."""
+    """With a name alone, as the README has it; the evaluator never has torch or the network in its process."""
     command = [sys.executable, "-c", EVALUATOR, "evaluate", policy, "--task", task, "--json"]
     command += ["--episodes", "4", "--workers", "1", "--output", str(tmp_path / "run")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
