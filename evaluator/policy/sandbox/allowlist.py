@@ -17,7 +17,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-import evaluator
 import rema_data
 from evaluator.policy.imports import outermost_folder
 from rema_data.errors import MissingFileError
@@ -103,7 +102,7 @@ def secrets() -> list[Path]:
 
 def packages_folder() -> Path:
     """The folder that holds the packages of this project: a checkout, or site-packages."""
-    return Path(evaluator.__file__).resolve().parent.parent
+    return Path(__file__).resolve().parents[3]
 
 
 def _python_folders(environment: Mapping[str, str]) -> Iterator[Path]:
