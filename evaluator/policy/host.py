@@ -1,4 +1,4 @@
-"""The judge's end of a policy: asks it in batches, and turns every broken promise into a counted fault."""
+"""The evaluator's end of a policy: asks it in batches, and counts every violation of the contract as a fault."""
 
 from __future__ import annotations
 
@@ -58,10 +58,10 @@ class PolicyHost(PolicySession):
         return [answers] if len(batch) == 1 else self._ask_one_by_one(batch, shown)
 
     def _ask_one_by_one(self, batch: ObservationBatch, shown: tuple[Situation, ...] | None) -> list[Answer]:
-        """Find out which observation a failed batch is to be charged to.
+        """Find out which observations of a failed batch are faults.
 
-        Whatever is charged follows from this batch alone: earlier batches may have been asked by another process, in a
-        run that was resumed or on another machine, and the rows must not show it.
+        The result depends on this batch only: in a run that was resumed, or on another machine, another process asked
+        the earlier batches, and the rows must not depend on that.
         """
         answers: list[Answer] = []
         single_s = min(self._limits.batch_s, self._limits.single_s)

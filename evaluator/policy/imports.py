@@ -9,14 +9,14 @@ from pathlib import Path
 __all__ = ["outermost_folder", "own_modules"]
 
 _PRODUCT = ("rema_data", "evaluator")
-"""Packages that the run's other digests speak for, wherever they lie."""
+"""Packages that other digests of the run cover."""
 
 
 def own_modules(file: Path) -> list[Path]:
     """Files that ``file`` imports from its own folder, or from where its package lies, and what these import; sorted.
 
-    Of an installed package only its own modules count, since what lies beside it are strangers: the same as in a
-    checkout. An import that is computed when it runs is not seen, and a file that is no Python has none.
+    Of an installed package only its own modules count, not the packages beside it: the same as in a
+    checkout. An import that is computed at run time is not seen, and a file that is not Python has none.
 
     Parameters
     ----------
