@@ -12,7 +12,7 @@ from rema_data.errors import SubmissionError
 from rema_data.schema import TASKS
 
 if TYPE_CHECKING:
-    from evaluator.policy.check import PolicyReport
+    from evaluator.policy.check_report import PolicyReport
 
 __all__ = ["check"]
 
@@ -49,7 +49,7 @@ def check(
 
     with StderrProgress() as progress:
         report = check_policy(
-            policy, task=tasks or None, checkpoint=checkpoint, device=device, sandbox=sandbox, progress=progress
+            policy, task=tasks, checkpoint=checkpoint, device=device, sandbox=sandbox, progress=progress
         )
     if as_json:
         click.echo(json.dumps(report.to_dict(), indent=2))

@@ -4,24 +4,22 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from evaluator.policy.faults import Answer, FaultReason, PolicyFault
+from evaluator.policy.check_report import CheckResult, PolicyReport, Same, time_result, validity_result
+from evaluator.policy.faults import Answer
 from evaluator.policy.host import PolicyHost
 from evaluator.policy.loading import PolicySpec, resolve, weights_of
 from evaluator.policy.questions import Questions, questions
 from evaluator.policy.sandbox.limits import PolicyLimits
-from evaluator.protocol import ACTION_FLIP_LIMIT, FAULT_LIMIT
 from rema_data.errors import SubmissionError
 from rema_data.progress import Progress, Silent
 from rema_data.schema import TASKS
 
 __all__ = ["CheckResult", "PolicyReport", "check_policy"]
 
-SCENARIOS = 10_000
-"""Scenarios of a full run."""
 _BATCH = 64
 _SMALL_BATCH = 7
 _REPEATED = 8
@@ -30,107 +28,12 @@ _LEAST = 4
 _OVERHEAD = 3 * _REPEATED + 2 * _SMALL_BATCH
 _BUDGET_S = 20.0
 """Time that the policy is asked for, about: a slow one is asked less."""
-_SLOW_S = 1.0
 _LIMITS = PolicyLimits(batch_s=30.0, single_s=20.0, deaths_in_row=1)
 
-_FIXES = {
-    FaultReason.EXCEPTION: "fix the line that is named; every task and step must be answered",
-    FaultReason.TIMEOUT: "answer faster: a batch of 64 has 60 s, one observation 20 s",
-    FaultReason.DIED: "look at what ended the process: memory, an exit, a crash in a library",
-    FaultReason.RESTART: "make the constructor succeed in every new process",
-    FaultReason.SHAPE: "return one action an observation: (N, 3) of i, j, k, or (N,) of (i * 64 + j) * 16 + k",
-    FaultReason.DTYPE: "return integers: actions.astype(np.int64)",
-    FaultReason.NAN: "return integers, and find out where the NaN comes from",
-    FaultReason.RANGE: "i and j are 0 to 63, k is 0 to 15",
-    FaultReason.INVALID: "choose among the actions that observations.valid allows, such as "
-    "np.where(valid, scores, -np.inf).argmax()",
-    FaultReason.PROTOCOL: "leave the file descriptors of the process alone",
-}
 _PURE = (
     "answer from the observation alone: no random state (draw from a hash of the observation), no counters, no cache"
 )
 _ALONE = "treat every observation by itself: network.eval(), and no statistics over the batch"
-
-
-@dataclass(frozen=True, slots=True)
-class CheckResult:
-    """One thing that was checked.
-
-    Attributes
-    ----------
-    name : str
-    status : {"ok", "warning", "refused"}
-        ``refused``: `rema evaluate` or `rema submit` would not take the policy.
-    found : str
-    fix : str
-        What to do; empty where nothing is wrong.
-    """
-
-    name: str
-    status: Literal["ok", "warning", "refused"]
-    found: str
-    fix: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class PolicyReport:
-    """What a check found.
-
-    Attributes
-    ----------
-    policy : str
-        Its name in tables.
-    file : Path
-    class_name : str
-    checkpoint : Path or None
-    device : str
-    tasks : tuple of str
-        That it was asked about.
-    results : tuple of CheckResult
-    privileged : bool
-    isolation : str
-        Level of the sandbox; empty where the policy's process did not start.
-    decisions : int
-        Observations that it was asked about.
-    seconds_per_decision : float or None
-        In batches; None where it never answered.
-    peak_memory_bytes : int or None
-    """
-
-    policy: str
-    file: Path
-    class_name: str
-    checkpoint: Path | None
-    device: str
-    tasks: tuple[str, ...]
-    results: tuple[CheckResult, ...]
-    privileged: bool = False
-    isolation: str = ""
-    decisions: int = 0
-    seconds_per_decision: float | None = None
-    peak_memory_bytes: int | None = None
-
-    @property
-    def ok(self) -> bool:
-        """Whether nothing would be refused."""
-        return all(result.status != "refused" for result in self.results)
-
-    @property
-    def projected_s(self) -> float | None:
-        """Seconds that the policy needs for one decision in each of 10,000 scenarios."""
-        return None if self.seconds_per_decision is None else SCENARIOS * self.seconds_per_decision
-
-    def to_dict(self) -> dict[str, Any]:
-        """Everything, ready for JSON."""
-        return {
-            "ok": self.ok,
-            **asdict(self),
-            "file": str(self.file),
-            "checkpoint": None if self.checkpoint is None else str(self.checkpoint),
-            "tasks": list(self.tasks),
-            "results": [asdict(result) for result in self.results],
-            "projected_s": self.projected_s,
-        }
 
 
 def check_policy(
@@ -181,7 +84,7 @@ def check_policy(
     """
     spec = resolve(str(policy))
     weights = weights_of(spec, None if checkpoint is None else Path(checkpoint))
-    tasks = tuple(TASKS) if task is None else (task,) if isinstance(task, str) else tuple(task)
+    tasks = (task,) if isinstance(task, str) else tuple(task or TASKS)
     progress = progress or Silent()
     progress.phase("observe", len(tasks))
     asked = []
@@ -189,23 +92,6 @@ def check_policy(
         asked += questions(name, _BATCH)
         progress.advance(1)
     return _Check(spec, weights, device, sandbox, tasks, asked, progress).report()
-
-
-@dataclass(slots=True)
-class _Same:
-    """How often an answer was the same when only one thing was changed."""
-
-    asked: int = 0
-    example: str = ""
-    differed: int = 0
-
-    def compare(self, before: Sequence[Answer], now: Sequence[Answer], batch: Questions) -> None:
-        for first, second in zip(before, now, strict=True):
-            self.asked += 1
-            if first != second:
-                self.differed += 1
-                where = f"{batch.batch.task}, step {batch.batch.step}"
-                self.example = self.example or f"{_shown(first)}, then {_shown(second)} ({where})"
 
 
 @dataclass(slots=True)
@@ -221,10 +107,10 @@ class _Check:
     progress: Progress
     answers: list[list[Answer]] = field(default_factory=list)
     returned: Counter[str] = field(default_factory=Counter)
-    again: _Same = field(default_factory=_Same)
-    fresh: _Same = field(default_factory=_Same)
-    small: _Same = field(default_factory=_Same)
-    order: _Same = field(default_factory=_Same)
+    again: Same = field(default_factory=Same)
+    fresh: Same = field(default_factory=Same)
+    small: Same = field(default_factory=Same)
+    order: Same = field(default_factory=Same)
     decisions: int = 0
     batched: int = 0
     batched_s: float = 0.0
@@ -294,12 +180,12 @@ class _Check:
             self.batched_s += host.waited_s - start_s
             self.batched += len(answers)
             self.answers.append(answers)
-            self.small.compare(answers[:1], alone, batch)
+            self.small.compare(answers[:1], alone, batch.batch)
             some = slice(_REPEATED)
-            self.again.compare(answers[some], self._ask(host, batch.part(some)), batch)
+            self.again.compare(answers[some], self._ask(host, batch.part(some)), batch.batch)
             for begin in range(0, min(len(answers), 2 * _SMALL_BATCH), _SMALL_BATCH):
                 part = slice(begin, begin + _SMALL_BATCH)
-                self.small.compare(answers[part], self._ask(host, batch.part(part)), batch)
+                self.small.compare(answers[part], self._ask(host, batch.part(part)), batch.batch)
             self.progress.advance(1)
 
     def _size(self, seconds: float) -> None:
@@ -311,64 +197,20 @@ class _Check:
         """The same batch in a new process, then the tasks and the batches in reverse order."""
         first = slice(_REPEATED)
         for batch, answers in zip(self.asked, self.answers, strict=True):
-            self.fresh.compare(answers[first], self._ask(host, batch.part(first)), batch)
+            self.fresh.compare(answers[first], self._ask(host, batch.part(first)), batch.batch)
         for batch, answers in zip(reversed(self.asked), reversed(self.answers), strict=True):
-            self.order.compare(answers[::-1], self._ask(host, batch.part(slice(None, None, -1))), batch)
+            self.order.compare(answers[::-1], self._ask(host, batch.part(slice(None, None, -1))), batch.batch)
             self.progress.advance(1)
 
     def _results(self, sandbox: str, level: str) -> Iterator[CheckResult]:
-        yield self._validity()
+        returned = self.returned.most_common(1)
+        yield validity_result(self.answers, returned[0][0] if returned else "")
         if not self._hopeless:
-            yield self._sameness("same again", self.again, _PURE)
-            yield self._sameness("new process", self.fresh, _PURE)
-            yield self._sameness("batch size", self.small, _ALONE)
-            yield self._sameness("order", self.order, _PURE)
-            yield self._time()
-        hint = "" if level != "L1" else "use Linux 6.2 or newer with libseccomp: see docs/threat_model.md"
-        yield CheckResult("sandbox", "warning" if level == "L1" else "ok", sandbox, hint)
-
-    def _validity(self) -> CheckResult:
-        every = [answer for answers in self.answers for answer in answers]
-        faults = [answer for answer in every if isinstance(answer, PolicyFault)]
-        shape = self.returned.most_common(1)[0][0] if self.returned else ""
-        if not faults:
-            return CheckResult("valid actions", "ok", f"{len(every)} of {len(every)}; returned {shape}")
-        reason = FaultReason(Counter(fault.reason for fault in faults).most_common(1)[0][0])
-        example = next(fault for fault in faults if fault.reason == reason)
-        share = max(
-            sum(isinstance(answer, PolicyFault) for answer in answers) / len(answers) for answers in self.answers
-        )
-        found = f"{len(every) - len(faults)} of {len(every)}; {reason}: {example.detail}"
-        status: Literal["warning", "refused"] = "refused" if share > FAULT_LIMIT else "warning"
-        return CheckResult("valid actions", status, found, _FIXES[reason])
-
-    def _sameness(self, name: str, same: _Same, fix: str) -> CheckResult:
-        if not same.differed:
-            return CheckResult(name, "ok", f"{same.asked} of {same.asked} answers were the same")
-        found = f"{same.differed} of {same.asked} answers differed, such as {same.example}"
-        if same.differed <= ACTION_FLIP_LIMIT * same.asked:
-            return CheckResult(name, "warning", f"{found}; rounding may do that", fix)
-        return CheckResult(name, "refused", found, fix)
-
-    def _time(self) -> CheckResult:
-        each_s = self.batched_s / self.batched
-        found = f"{_duration(each_s)} a decision, {_duration(SCENARIOS * each_s)} for {SCENARIOS:,} scenarios"
-        real = PolicyLimits()
-        if each_s * _BATCH > real.batch_s or SCENARIOS * each_s > real.run_s + SCENARIOS * real.observation_s:
-            fix = f"answer a batch of {_BATCH} within {real.batch_s:g} s: use a faster --device, or a smaller network"
-            return CheckResult("time", "refused", found, fix)
-        if each_s > _SLOW_S:
-            return CheckResult("time", "warning", found, "use a faster --device, or compute the batch as a whole")
-        return CheckResult("time", "ok", found)
-
-
-def _shown(answer: Answer) -> str:
-    return answer.reason if isinstance(answer, PolicyFault) else str(answer)
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 1:
-        return f"{1000 * seconds:.1f} ms"
-    if seconds < 120:
-        return f"{seconds:.1f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+            largest = len(self.asked[0].situations)
+            yield self.again.result("same again", "when it was asked again", _PURE)
+            yield self.fresh.result("new process", "in a new process", _PURE)
+            yield self.small.result("batch size", f"in batches of 1, {_SMALL_BATCH} and {largest}", _ALONE)
+            yield self.order.result("order", "in reverse order", _PURE)
+            yield time_result(self.batched_s / self.batched, _BATCH)
+        fix = "" if level != "L1" else "use Linux 6.2 or newer with libseccomp: see docs/threat_model.md"
+        yield CheckResult("sandbox", "warning" if level == "L1" else "ok", sandbox, fix)

@@ -243,7 +243,7 @@ class _Run:
         isolation = getattr(policy, "isolation", None)
         if isolation is not None and str(isolation) != self._walls_told:
             self._walls_told = str(isolation)  # it is started more than once
-            self.progress.note(f"policy isolation {isolation}")
+            self.progress.note(f"policy sandbox: {isolation}")
         walls = None if isolation is None else isolation.to_dict()
         self.folder.note_segment(isolation=walls, device=self.config.device)
 

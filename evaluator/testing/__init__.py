@@ -1,1 +1,1 @@
-"""What a policy and an engine must keep, as pytest classes that other packages inherit in their own tests."""
+"""What policies and engines must keep, as pytest mixins that you run on your own: see ``engines`` and ``policies``."""

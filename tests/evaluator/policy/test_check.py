@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 from evaluator.cli.main import cli
 from evaluator.policy import check as checking
+from evaluator.policy import check_report
 from evaluator.policy.check import PolicyReport, check_policy
 from evaluator.policy.questions import questions
 from evaluator.policy.sandbox.limits import PolicyLimits
@@ -53,8 +54,8 @@ def test_a_good_policy(tmp_path: Path) -> None:
     assert report.ok and not report.privileged
     results = {result.name: result for result in report.results}
     assert results["valid actions"].found == "64 of 64; returned int64 (N,)"
-    assert results["batch size"].found == "15 of 15 answers were the same"
-    assert results["order"].found == "64 of 64 answers were the same"
+    assert results["batch size"].found == "15 of 15 answers were the same in batches of 1, 7 and 64"
+    assert results["order"].found == "64 of 64 answers were the same in reverse order"
     assert report.seconds_per_decision and report.projected_s == 10_000 * report.seconds_per_decision
     assert report.isolation in ("L1", "L2") and report.decisions > 64
     if sys.platform == "linux":
@@ -125,7 +126,7 @@ def test_a_slow_policy_is_asked_less_and_refused(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(checking, "_BUDGET_S", 1.0)
     results = checked(tmp_path, "time.sleep(0.02 * len(observations))\nreturn good(observations)")
     assert refused(results) == [] and results["valid actions"].found.startswith("4 of 4")
-    monkeypatch.setattr(checking, "PolicyLimits", lambda: PolicyLimits(batch_s=0.5))
+    monkeypatch.setattr(check_report, "PolicyLimits", lambda: PolicyLimits(batch_s=0.5))
     results = checked(tmp_path, "time.sleep(0.02 * len(observations))\nreturn good(observations)")
     assert refused(results) == ["time"] and "within 0.5 s" in results["time"].fix
 
