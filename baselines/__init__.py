@@ -1,1 +1,1 @@
-"""The contestants. The judge loads them by file, exactly as it loads a stranger's policy."""
+"""The baselines. The evaluator loads them by file and in the sandbox, as it loads a submitted policy."""

@@ -6,7 +6,9 @@ from collections.abc import Iterable
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
-from evaluator.policy.loading import BUILT_INS
+from baselines import catalogue
+from evaluator.policy.named import GROUP, kind_of
+from rema_data import plugins
 from rema_data.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,7 +18,11 @@ if TYPE_CHECKING:
 
 __all__ = ["LEARNED", "check_players", "training_device"]
 
-LEARNED = frozenset(name for name, place in BUILT_INS.items() if place.endswith(":TaePolicy"))
+LEARNED = frozenset(
+    name
+    for name, point in plugins.installed(GROUP).items()
+    if point.module == catalogue.__name__ and kind_of(name) == "learned"
+)
 """The built-in policies that are networks."""
 _OPENVINO = "openvino"
 

@@ -4,7 +4,7 @@
     python benchmarks/isolation.py --run runs/random-grasp-conditional # or takes the seconds of a finished run
 
 The policy is asked about as many observations as the run has episodes: in this process, with nothing between; in a
-process of its own (level L1); and behind the kernel's walls (L2, or what this machine reaches). Start and end of the
+process of its own (level L1); and in the kernel's sandbox (L2, or what this machine reaches). Start and end of the
 process count. The ways take turns. The observations are those of some scenarios, over and over.
 """
 
@@ -38,7 +38,7 @@ from rema_data.errors import MissingFileError
 TASK = "grasp"
 BATCH = 64
 WANTED_SHARE = 0.05
-DIRECT, PROCESS, WALLS = "in this process", "own process", "behind walls"
+DIRECT, PROCESS, SANDBOX = "in this process", "own process", "in the sandbox"
 
 
 def questions(distinct: int, episodes: int) -> list[ObservationBatch]:
@@ -71,10 +71,10 @@ def seconds_direct(asked: list[ObservationBatch]) -> float:
     return time.perf_counter() - began
 
 
-def seconds_hosted(asked: list[ObservationBatch], walls: bool) -> tuple[float, str]:
+def seconds_hosted(asked: list[ObservationBatch], confine: bool) -> tuple[float, str]:
     """Asked in a process of its own; with the level that it reached."""
     began = time.perf_counter()
-    with PolicyHost(resolve("random"), None, walls=walls) as host:
+    with PolicyHost(resolve("random"), None, confine=confine) as host:
         level = host.isolation.level
         for batch in asked:
             host.act(batch)
@@ -82,13 +82,13 @@ def seconds_hosted(asked: list[ObservationBatch], walls: bool) -> tuple[float, s
 
 
 def measure(asked: list[ObservationBatch], repeats: int) -> tuple[dict[str, list[float]], str]:
-    """Seconds of every way, in turns; and the level behind walls."""
-    seconds: dict[str, list[float]] = {DIRECT: [], PROCESS: [], WALLS: []}
+    """Seconds of every way, in turns; and the level in the sandbox."""
+    seconds: dict[str, list[float]] = {DIRECT: [], PROCESS: [], SANDBOX: []}
     level = ""
     ways: dict[str, Callable[[], tuple[float, str]]] = {
         DIRECT: lambda: (seconds_direct(asked), "L0"),
-        PROCESS: lambda: seconds_hosted(asked, walls=False),
-        WALLS: lambda: seconds_hosted(asked, walls=True),
+        PROCESS: lambda: seconds_hosted(asked, confine=False),
+        SANDBOX: lambda: seconds_hosted(asked, confine=True),
     }
     for _ in range(repeats):
         for name, way in ways.items():
@@ -133,13 +133,13 @@ def main() -> int:
     for name, values in seconds.items():
         extra = (middle[name] - middle[DIRECT]) / total_s
         table.add_row(name, f"{middle[name]:.2f}", f"{min(values):.2f}", f"{max(values):.2f}", f"{extra:+.2%}")
-    cost = (middle[WALLS] - middle[DIRECT]) / total_s
+    cost = (middle[SANDBOX] - middle[DIRECT]) / total_s
     targets = [
         target("isolation, of a run of the random policy", f"< {WANTED_SHARE:.0%}", f"{cost:.2%}", cost < WANTED_SHARE)
     ]
     notes = [
         f"Medians of {arguments.repeats}. The run took {total_s:.1f} s; shares are what a way takes beyond asking in "
-        f"this process. Behind walls the level was {level}.",
+        f"this process. In the sandbox the level was {level}.",
     ]
     numbers = {"run_s": total_s, "episodes": episodes, "seconds": seconds, "level": level, "share": cost}
     return finish(arguments, "isolation", [table], targets, notes, numbers)

@@ -12,7 +12,13 @@ from rema_data import grid
 from rema_data.errors import InputError
 from rema_data.schema import TASKS, check_task
 
-__all__ = ["PROTOCOLS", "protocol", "protocol_hash"]
+__all__ = ["ACTION_FLIP_LIMIT", "FAULT_LIMIT", "PROTOCOLS", "protocol", "protocol_hash"]
+
+FAULT_LIMIT = 0.10
+"""Largest share of a policy's answers that may be faults: above it a run ends as failed."""
+ACTION_FLIP_LIMIT = 0.05
+"""Largest share of the repeated questions that may be answered differently: rounding does that to a few. A policy whose
+answers depend on what it was asked before, or in which order, does it to most, and has no rank."""
 
 PROTOCOLS: dict[str, str] = {
     "conditional": (

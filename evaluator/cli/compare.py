@@ -34,10 +34,9 @@ def compare(a: Path, b: Path, as_json: bool) -> None:
 
     Both must be of the same task, protocol and scenario list.
     """
-    from evaluator.leaderboard.comparison import compare as compare_runs
-    from evaluator.run.entry import read_scored
+    from evaluator.api import compare as compare_runs
 
-    found = compare_runs(read_scored(a), read_scored(b))
+    found = compare_runs(a, b)
     if as_json:
         click.echo(json.dumps(found.to_dict(), indent=2))
     else:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from evaluator.cli.engine_options import engine_options
 from evaluator.protocol import PROTOCOLS
-from rema_data.errors import InputError
 from rema_data.schema import TASKS
 
 __all__ = ["evaluate"]
@@ -28,74 +28,25 @@ __all__ = ["evaluate"]
 @click.option("--batch-size", type=click.IntRange(1, 4096), default=64, show_default=True, help="Observations a call.")
 @click.option(
     "--quick",
-    "against",
     metavar="RUN",
     type=click.Path(path_type=Path),
     help="Stop as soon as the policy is better or worse than that of RUN; unranked.",
 )
 @click.option("--sandbox", metavar="CMD", help="Wrapper of the policy's process (bwrap, ...): docs/threat_model.md.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary object alone.")
-def evaluate(
-    policy: str,
-    task: str,
-    checkpoint: Path | None,
-    episodes: int,
-    workers: int | None,
-    engine: str,
-    address: str | None,
-    shard: str | None,
-    protocol: str,
-    split: str,
-    output: Path | None,
-    device: str,
-    batch_size: int,
-    against: Path | None,
-    sandbox: str | None,
-    as_json: bool,
-) -> None:
+def evaluate(policy: str, as_json: bool, **options: Any) -> None:
     """Score POLICY on frozen scenarios and print its success rate with a 95 % interval.
 
-    POLICY is my_policy.py, my_policy.py:ClassName, or a built-in name: random, scripted, reference, tae-joint,
-    tae-separate, and tae, which needs a --checkpoint.
+    POLICY is my_policy.py, my_policy.py:ClassName, or the name of an installed policy, such as random or tae-joint; an
+    unknown name lists them. `rema check POLICY` says in seconds what would be refused.
 
-    A run that was stopped goes on where it stopped: run the same command again.
+    A run that was stopped is resumed: run the same command again.
     """
     # Imported here, so that a mistyped option is answered at once.
+    from evaluator import evaluate as run
     from evaluator.cli.progress import StderrProgress
     from evaluator.cli.result import print_result
-    from evaluator.policy.loading import check_checkpoint, resolve
-    from evaluator.policy.shipped import shipped_checkpoint
-    from evaluator.runner import EvaluationConfig, run_evaluation
-    from evaluator.runner.shards import RunShard
 
-    spec = resolve(policy)
-    part = None if shard is None else RunShard.parse(shard)
-    name = f"{spec.name}-{task}-{protocol}" + ("" if split == "test" else f"-{split}")
-    if part is not None:
-        name += f"-shard-{part.number}-of-{part.count}"
-    config = EvaluationConfig(
-        policy=spec,
-        task=task,
-        output=output or Path("runs") / name,
-        checkpoint=check_checkpoint(checkpoint) or shipped_checkpoint(spec.name),
-        device=device,
-        protocol=protocol,
-        split=split,
-        episodes=episodes,
-        engine=engine,
-        workers=workers,
-        batch_size=batch_size,
-        sandbox=sandbox,
-        address=address,
-        shard=part,
-    )
-    if against is not None and part is not None:
-        raise InputError("--quick plays the list in its order", hint="drop --quick or --shard")
     with StderrProgress() as progress:
-        if against is None:
-            result = run_evaluation(config, progress)
-        else:
-            from evaluator.runner.quick import quick_evaluation
-
-            result = quick_evaluation(config, against, progress)
+        result = run(policy, progress=progress, **options)
     print_result(result.summary, result.folder, as_json)

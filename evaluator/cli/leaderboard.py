@@ -26,13 +26,10 @@ def leaderboard(runs: tuple[Path, ...], form: str | None, as_json: bool, entries
     Only runs over the full test list have a rank. A run that is not finished, or damaged, is left out and named; where
     one is damaged, the exit code says so.
     """
-    from evaluator.leaderboard import find_runs
-    from evaluator.leaderboard import leaderboard as make_board
+    from evaluator.api import leaderboard as make_board
     from evaluator.leaderboard.export import export
-    from evaluator.run.entry import find_entries
 
-    sources = [*(runs or find_runs(Path("runs"))), *(find_entries() if entries else ())]
-    board = make_board(sources, published)
+    board = make_board(runs or None, entries=entries, published=published)
     if as_json or form:
         click.echo(export(board, "json" if as_json or form is None else form), nl=False)
     else:

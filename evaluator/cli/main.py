@@ -46,8 +46,9 @@ VERBS: dict[str, Verb] = {
     "collect": Verb("baselines.rounds.command:collect", "Run a collection plan and seal a release."),
     "train": Verb("baselines.train.command:train", "Train a network on a release."),
     "rounds": Verb("baselines.rounds.recursion_command:rounds", "Collect and train in rounds, as a plan says."),
+    "check": Verb("evaluator.cli.check:check", "Check a policy in seconds: what would be refused, and why."),
     "evaluate": Verb("evaluator.cli.evaluate:evaluate", "Score a policy on frozen scenarios."),
-    "merge": Verb("evaluator.cli.merge:merge", "Put the shards of an evaluation together."),
+    "merge": Verb("evaluator.cli.merge:merge", "Merge the shards of an evaluation."),
     "replay": Verb("evaluator.cli.replay:replay", "Check a finished run by simulating its actions again."),
     "proof": Verb("evaluator.cli.proof:proof", "Prove that one episode is part of a run."),
     "leaderboard": Verb(
@@ -62,7 +63,7 @@ VERBS: dict[str, Verb] = {
 
 INTERRUPTED = 130
 RESUMED = frozenset({"download", "collect", "train", "rounds", "evaluate", "scenarios"})
-"""Verbs that go on where they were interrupted. The others begin anew, and leave nothing half-written."""
+"""Verbs that resume where they were interrupted. The others start again, and leave nothing half-written."""
 
 
 class _Verbs(click.Group):
@@ -94,7 +95,7 @@ class _Verbs(click.Group):
             ctx.exit(error.exit_code)
         except OSError as error:
             if error.errno == errno.EPIPE:
-                raise  # whoever read our output has gone: click leaves without a word
+                raise  # the reader of our output has closed it: click ends silently
             place = "" if error.filename is None else f": {error.filename}"
             click.echo(f"rema: the system refused: {error.strerror or error}{place}", err=True)
             ctx.exit(InputError.exit_code)
@@ -106,14 +107,14 @@ class _Verbs(click.Group):
 
 
 def _say_no_more() -> None:
-    """What threads of libraries were doing when they were interrupted (Zarr's tasks, each by name) is no news."""
+    """Silence threads of libraries that report what they were doing when they were interrupted (Zarr's tasks)."""
     logging.disable()
     warnings.simplefilter("ignore")
     sys.unraisablehook = lambda _: None
 
 
 def _prepare_streams() -> None:
-    """Let a character that the terminal lacks cost its look and not the run."""
+    """Show a character that the terminal lacks as an escape, instead of failing."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -121,7 +122,7 @@ def _prepare_streams() -> None:
 
 @contextmanager
 def _stop_signals() -> Iterator[None]:
-    """Ctrl-C, ``kill`` and a closed terminal all interrupt, once: cleaning up takes seconds and is not cut short."""
+    """Ctrl-C, ``kill`` and a closed terminal interrupt once: cleaning up takes seconds and must finish."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -154,4 +155,4 @@ def _print_version(ctx: click.Context, parameter: click.Parameter, wanted: bool)
 @click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120})
 @click.option("--version", is_flag=True, is_eager=True, expose_value=False, callback=_print_version, help="Show it.")
 def cli() -> None:
-    """ReMa: manipulation with grippers and tools. The dataset, the world, and the judge of policies."""
+    """ReMa: manipulation with grippers and tools. The dataset, the simulated world, and the evaluator of policies."""

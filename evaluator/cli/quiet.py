@@ -1,4 +1,4 @@
-"""PyBullet without the line that it writes to standard error, from C, whenever it is imported."""
+"""Import PyBullet without the line that it writes to standard error."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["import_pybullet"]
 
 
 def import_pybullet() -> None:
-    """Import PyBullet with standard error closed: a command's own words are all that a user is to read there."""
+    """Import PyBullet with standard error closed: only the command writes there."""
     if sys.stderr is None:  # closed by the caller
         return
     sys.stderr.flush()

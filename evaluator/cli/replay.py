@@ -55,11 +55,11 @@ def replay(
     Every sealed byte is compared with its seal, the statistics are counted again, and the recorded actions are
     simulated again. With another simulator than the run's, the share of flips is printed and is no error.
     """
+    from evaluator.api import replay as play
     from evaluator.cli.progress import StderrProgress
-    from evaluator.replay import replay as play
     from evaluator.replay import sign
     from evaluator.rollout.simulate import INFRA_LIMIT
-    from evaluator.run.signature import read_private_key, read_public_key
+    from evaluator.run.signature import read_private_key
 
     if private_key is not None and not fraction:
         raise InputError(
@@ -70,7 +70,6 @@ def replay(
     key = None
     if private_key is not None:
         key = read_private_key(private_key, lambda: str(click.prompt(passphrase, hide_input=True, err=True)))
-    checked_with = None if public_key is None else read_public_key(public_key)
     with StderrProgress() as progress:
         report = play(
             run,
@@ -79,7 +78,7 @@ def replay(
             engine=engine,
             workers=workers,
             address=address,
-            public_key=checked_with,
+            public_key=public_key,
             progress=progress,
         )
     if as_json:

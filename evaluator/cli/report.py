@@ -46,8 +46,7 @@ def report(
     # Imported here, so that a mistyped option is answered at once.
     from evaluator.cli.progress import StderrProgress
     from evaluator.cli.quiet import import_pybullet
-    from evaluator.policy.loading import check_checkpoint, resolve
-    from evaluator.policy.shipped import shipped_checkpoint
+    from evaluator.policy.loading import resolve, weights_of
 
     import_pybullet()
     from evaluator.report import ReportOptions, write_report
@@ -58,7 +57,7 @@ def report(
     if sandbox is not None and policy is None:
         raise InputError("--sandbox belongs to a policy", hint="name it with --policy, or drop --sandbox")
     spec = None if policy is None else resolve(policy)
-    weights = None if spec is None else check_checkpoint(checkpoint) or shipped_checkpoint(spec.name)
+    weights = None if spec is None else weights_of(spec, checkpoint)
     options = ReportOptions(per_label, int(limit_mb * _MEGABYTE), spec, weights, device, scored, sandbox)
     with StderrProgress() as progress:
         written = write_report(run, output, options, progress)

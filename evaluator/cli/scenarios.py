@@ -49,8 +49,7 @@ def scenarios(
     from evaluator.cli.progress import StderrProgress
     from evaluator.engines import default_workers
     from evaluator.engines.child import process_pool
-    from evaluator.policy.loading import check_checkpoint, resolve
-    from evaluator.policy.shipped import shipped_checkpoint
+    from evaluator.policy.loading import resolve, weights_of
     from evaluator.rollout.picks import open_picker
     from evaluator.scenarios.generation import write_lists
     from rema_data.storage import rema_home
@@ -59,7 +58,7 @@ def scenarios(
     opened: AbstractContextManager[Picker | None] = nullcontext()
     if picker is not None:
         spec = resolve(picker)
-        weights = check_checkpoint(checkpoint) or shipped_checkpoint(spec.name)
+        weights = weights_of(spec, checkpoint)
         # Not beside the lists: what lies in manifests/ is frozen and published.
         log = rema_home() / "logs" / f"scenarios-{version}.log"
         opened = open_picker(spec, weights, device, log, processes)

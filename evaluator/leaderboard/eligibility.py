@@ -5,17 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from evaluator.protocol import protocol_hash
+from evaluator.protocol import ACTION_FLIP_LIMIT, protocol_hash
 from evaluator.run.scored import ScoredRun
 from evaluator.scenarios import SPLITS, VERSION, manifest_path
 from rema_data.manifests import read_manifest
 
-__all__ = ["ACTION_FLIP_LIMIT", "Obstacle", "infra_limit", "installed_list", "obstacles"]
-
-
-ACTION_FLIP_LIMIT = 0.05
-"""Largest share of the repeated questions that may be answered otherwise: rounding does that to a few. A policy whose
-answers depend on what it was asked before, or in which order, does it to most, and has no rank."""
+__all__ = ["Obstacle", "infra_limit", "installed_list", "obstacles"]
 
 
 @dataclass(frozen=True, slots=True)

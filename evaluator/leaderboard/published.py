@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from evaluator.policy.loading import OWN_PREFIX
+from evaluator.policy.named import find_named
 from rema_data.manifests import manifests_dir, read_manifest
 
 __all__ = ["published_rate", "published_table"]
@@ -22,6 +22,7 @@ def published_table() -> dict[str, Any]:
 
 
 def published_rate(policy: str, task: str) -> float | None:
-    """Published share in 0..1 of a built-in baseline (``random``, ``scripted``, ``tae-...``), if there is one."""
-    rates: dict[str, float] = published_table()["success_percent"].get(policy.removeprefix(OWN_PREFIX), {})
+    """Published share in 0..1 of an installed policy that the paper has a row of, if there is one."""
+    named = find_named(policy)
+    rates: dict[str, float] = published_table()["success_percent"].get(named.published if named else "", {})
     return rates[task] / 100 if task in rates else None

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from evaluator.leaderboard.published import published_rate, published_table
+from evaluator.policy.named import KINDS
 from evaluator.run.scored import Audit, FunnelStep, ScoredRun
 from evaluator.statistics import error_bounds, rate_interval, z_against_published
 
@@ -14,7 +15,7 @@ __all__ = ["PUBLISHED", "TAGS", "Row", "published_rows", "row_of"]
 
 PUBLISHED = "published"
 """The tag of the paper's rows."""
-TAGS = ("submitted", "learned", "privileged", "random", PUBLISHED)
+TAGS = ("submitted", *KINDS, PUBLISHED)
 """Kinds of rows."""
 
 

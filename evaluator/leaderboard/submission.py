@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evaluator.leaderboard.eligibility import ACTION_FLIP_LIMIT, obstacles
+from evaluator.leaderboard.eligibility import obstacles
 from evaluator.leaderboard.published import published_table
 from evaluator.leaderboard.row import TAGS
-from evaluator.policy.loading import BUILT_INS, OWN_PREFIX
+from evaluator.policy.named import is_reserved
+from evaluator.protocol import ACTION_FLIP_LIMIT
 from evaluator.run.counts import same_numbers
 from evaluator.run.entry import Entry, check_link, check_name
 from evaluator.run.header import isolation_level
@@ -105,7 +106,7 @@ def make_entry(folder: Path, name: str = "", link: str = "") -> Entry:
             failed=[check.what for check in failed],
         )
     shown = check_name(name or run.policy)
-    own = shown in BUILT_INS or shown.startswith(OWN_PREFIX)
+    own = is_reserved(shown)
     if (own and shown != run.policy) or (not own and shown in {*published_table()["success_percent"], *TAGS}):
         raise SubmissionError(
             f"{shown!r} is the name of a built-in policy, a published one or a kind of policy, "

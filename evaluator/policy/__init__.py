@@ -1,13 +1,15 @@
-"""Policies: what a submitter writes, how it is found, and the separate process that it runs in.
+"""Policies: what a submitter writes, how a policy is found, and the separate process that it runs in.
 
 ::
 
-    loading   "my_policy.py:Name" or a built-in name  ->  PolicySpec (a file and a class, nothing imported)
-    shipped   a built-in name  ->  the networks that come with the repository
-    host      the judge's end: batches, contract checks  ->  answers or counted faults
+    contract  what a policy sees and what it answers
+    named     the installed policies, found by entry points
+    loading   "my_policy.py:Name" or an installed name  ->  PolicySpec (a file and a class, nothing imported)
+    shipped   an installed name  ->  the networks that come with the repository
+    check     some questions of every task  ->  what would be refused, and how to fix it
+    host      the evaluator's end: batches, contract checks  ->  answers or counted faults
     session   one child process: deadlines, the time of all questions, restarts
-    enclosure what that process is started with: command, environment, limits, what it may reach
-    walls     inside it, before anything of the policy is read: the kernel denies the rest
+    sandbox   how that process is started, and what confines it
     child     the policy's end: imports the file and answers batches
     wire      the frames between both ends
 """
@@ -17,15 +19,15 @@ from __future__ import annotations
 from evaluator.policy.contract import ObservationBatch, Policy, PrivilegedPolicy
 from evaluator.policy.faults import Answer, PolicyFault
 from evaluator.policy.host import PolicyHost
-from evaluator.policy.loading import BUILT_INS, PolicySpec, digest, resolve
-from evaluator.policy.sandbox.isolation import Isolation, Wall
+from evaluator.policy.loading import PolicySpec, digest, resolve, weights_of
+from evaluator.policy.named import NamedPolicy, find_named, kind_of, policy_names
+from evaluator.policy.sandbox.isolation import Isolation, Restriction
 from evaluator.policy.sandbox.limits import PolicyLimits
-from evaluator.policy.shipped import shipped_checkpoint
 
 __all__ = [
-    "BUILT_INS",
     "Answer",
     "Isolation",
+    "NamedPolicy",
     "ObservationBatch",
     "Policy",
     "PolicyFault",
@@ -33,8 +35,11 @@ __all__ = [
     "PolicyLimits",
     "PolicySpec",
     "PrivilegedPolicy",
-    "Wall",
+    "Restriction",
     "digest",
+    "find_named",
+    "kind_of",
+    "policy_names",
     "resolve",
-    "shipped_checkpoint",
+    "weights_of",
 ]

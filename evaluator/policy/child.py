@@ -1,4 +1,4 @@
-"""The policy's end of the pipes: imports the submitted file, then answers batches until the judge hangs up.
+"""The policy's end of the pipes: imports the submitted file, then answers batches until the evaluator closes the pipe.
 
 ``evaluator.policy.sandbox.kernel`` calls it once the sandbox is up. Whatever the policy prints goes to the host's log;
 questions and replies have pipes of their own.
@@ -35,20 +35,20 @@ __all__ = ["serve"]
 Question = tuple[dict[str, Any], dict[str, Any]]
 
 
-class Refusal(Exception):
+class CannotLoad(Exception):
     """Why the policy cannot be used, in words for its author."""
 
 
 def serve(request_fd: int, reply_fd: int, report: dict[str, Any]) -> None:
-    """Say which walls stand, load the policy that the first question names, and answer the others.
+    """Report the sandbox, load the policy that the first question names, and answer the other questions.
 
     Parameters
     ----------
     request_fd, reply_fd : int
     report : dict
-        Sent before anything of the policy is read: nothing of it can change what is said.
+        What the sandbox restricts: sent before anything of the policy is read, so that the policy cannot change it.
     """
-    _reply(reply_fd, {"op": "enclosed", **report})
+    _reply(reply_fd, {"op": "confined", **report})
     questions: queue.Queue[Question] = queue.Queue()
     threading.Thread(target=_listen, args=(request_fd, questions), daemon=True).start()
 
@@ -69,7 +69,7 @@ def serve(request_fd: int, reply_fd: int, report: dict[str, Any]) -> None:
 
 
 def _listen(request_fd: int, questions: queue.Queue[Question]) -> None:
-    """Queue every question; when the judge is gone, end the whole process group."""
+    """Queue every question; when the evaluator has ended, end the whole process group."""
     try:
         with io.BufferedReader(io.FileIO(request_fd), 1 << 20) as stream:
 
@@ -87,7 +87,7 @@ def _listen(request_fd: int, questions: queue.Queue[Question]) -> None:
     except BaseException:
         with suppress(OSError):
             os.killpg(0, signal.SIGKILL)
-        os.kill(os.getpid(), signal.SIGKILL)  # behind the walls it may signal itself alone
+        os.kill(os.getpid(), signal.SIGKILL)  # in the sandbox it may signal only itself
 
 
 def _load(order: dict[str, Any]) -> tuple[Any, bool]:
@@ -96,19 +96,19 @@ def _load(order: dict[str, Any]) -> tuple[Any, bool]:
     name = f"submitted_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
-        raise Refusal(f"{path} is not a Python file")
+        raise CannotLoad(f"{path} is not a Python file")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # dataclasses and pickles look their module up
     spec.loader.exec_module(module)
     kind = getattr(module, order["class_name"], None)
     if not isinstance(kind, type):
         found = [key for key, value in vars(module).items() if isinstance(value, type) and value.__module__ == name]
-        raise Refusal(
+        raise CannotLoad(
             f"{path.name} has no class {order['class_name']}; it defines {', '.join(found) or 'no class'}: "
             f"name one as {path.name}:ClassName"
         )
     if not callable(getattr(kind, "act", None)):
-        raise Refusal(f"class {order['class_name']} of {path.name} has no method act(observations)")
+        raise CannotLoad(f"class {order['class_name']} of {path.name} has no method act(observations)")
     checkpoint = None if order["checkpoint"] is None else Path(order["checkpoint"])
     return kind(checkpoint, order["device"]), getattr(kind, "privileged", False) is True
 
@@ -136,12 +136,12 @@ def _answer(
 
 def _maps_of(policy: Any) -> Any:
     if not callable(getattr(policy, "maps", None)):
-        raise Refusal(f"class {type(policy).__name__} has no method maps(observations)")
+        raise CannotLoad(f"class {type(policy).__name__} has no method maps(observations)")
     return policy.maps
 
 
 def _wrong_actions(answer: np.ndarray[Any, Any], count: int) -> tuple[str, str] | None:
-    """What keeps an answer from being sent: the judge looks at the numbers in it."""
+    """Why an answer cannot be sent; the evaluator checks the numbers in it."""
     if answer.shape not in ((count, 3), (count,)):
         return "wrong_shape", f"returned shape {answer.shape}, expected ({count}, 3) or ({count},)"
     if answer.dtype.kind not in "biuf" or answer.dtype.itemsize > 8:
@@ -158,7 +158,7 @@ def _wrong_maps(answer: np.ndarray[Any, Any], count: int) -> tuple[str, str] | N
 
 def _describe(error: BaseException, own_folder: str) -> dict[str, Any]:
     """What was raised, where in the submitter's code, and the last lines of the traceback from there on."""
-    if isinstance(error, Refusal):
+    if isinstance(error, CannotLoad):
         return {"message": str(error), "where": "", "traceback": "", "kinds": []}
     start = error.__traceback__
     while start is not None and start.tb_frame.f_code.co_filename.startswith((__file__, "<frozen importlib")):
@@ -182,7 +182,7 @@ def _describe(error: BaseException, own_folder: str) -> dict[str, Any]:
 
 
 def _kinds(error: BaseException | None) -> list[str]:
-    """Types of an exception and of its causes, with their bases: the judge says what mends some of them."""
+    """Types of an exception and of its causes, with their bases: for some of them the evaluator knows a fix."""
     found: dict[str, None] = {}
     for _ in range(_CAUSES):
         if error is None:

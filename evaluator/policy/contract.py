@@ -17,15 +17,15 @@ __all__ = ["ObservationBatch", "Policy", "PrivilegedPolicy"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservationBatch:
-    """Observations of one step of one task: all that a policy is told.
+    """Observations of one step of one task: all that a policy sees.
 
     Attributes
     ----------
     scene : float32 (N, 64, 64)
         Height above the table, metres. Row i grows with world y, column j with world x; 4.5 mm a pixel.
     end_effector : float32 (N, 112, 112, 4)
-        Depth (m) and mask of state 1, depth and mask of state 2 of what acts, at yaw 0. The mask is 1 where the topmost
-        body may touch the target.
+        Depth (m) and mask of state 1, then depth and mask of state 2 of the hand or tool that acts, at yaw 0. The mask
+        is 1 where the topmost body may touch the target.
     primitive : str
         ``grasp`` or ``push``.
     embodiment : str
@@ -97,7 +97,27 @@ class ObservationBatch:
 
 @runtime_checkable
 class Policy(Protocol):
-    """A contestant. It must not remember: the judge may ask in any order, in any batch, and in a new process."""
+    """A policy, as a type to check a class against.
+
+    It must not remember: the evaluator asks in any order, in any batch size, and in several processes.
+
+    Parameters
+    ----------
+    checkpoint : Path or None
+        What the user gave as ``--checkpoint``.
+    device : str
+        What the user gave as ``--device``; ``cpu`` by default.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from evaluator.policy import ObservationBatch, Policy
+    >>> class FirstValid:
+    ...     def __init__(self, checkpoint: Path | None, device: str) -> None: ...
+    ...     def act(self, observations: ObservationBatch) -> npt.NDArray[np.int64]:
+    ...         return observations.valid.reshape(len(observations), -1).argmax(axis=1)
+    >>> policy: Policy = FirstValid(None, "cpu")
+    """
 
     def __init__(self, checkpoint: Path | None, device: str) -> None: ...
 
@@ -108,7 +128,7 @@ class Policy(Protocol):
 
 @runtime_checkable
 class PrivilegedPolicy(Protocol):
-    """A reference that is shown the ground truth; every row that used it says so."""
+    """A policy that is shown the ground truth; its rows on the leaderboard are marked ``privileged``."""
 
     privileged: ClassVar[bool] = True
 

@@ -1,7 +1,7 @@
 """Weights of a pickle as safetensors: ``python -m evaluator.policy.conversion weights.pt [--trust] [--key NAME]``.
 
-Run by whoever owns the file, and never by the judge: with ``--trust`` it opens the whole pickle, which runs what is in
-it. The file may hold a state dict, a network, or a dictionary that has one of them under some name.
+The owner of the file runs it; the evaluator never does. With ``--trust`` it opens the whole pickle, which runs the code
+in it. The file may hold a state dict, a network, or a dictionary that has one of them under some name.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def _opened(path: Path, trust: bool) -> Any:
             ) from None
     try:
         return torch.load(path, map_location="cpu", weights_only=False)
-    except Exception as error:  # whatever a program raises
+    except Exception as error:  # code in a pickle may raise anything
         raise InputError(
             f"{path} cannot be opened: {type(error).__name__}: {error}",
             hint="run this in the folder of the code that saved it",

@@ -1,4 +1,4 @@
-"""Answers of a policy: a valid grid index, or the reason why there is none.
+"""Answers of a policy: a valid grid index, or the reason why it is missing.
 
 A fault is data, not an exception: the episode counts as failed and stays in the denominator.
 """
@@ -80,7 +80,7 @@ def check_answer(answer: npt.NDArray[np.generic], valid: npt.NDArray[np.bool_]) 
 
 
 def check_maps(maps: npt.NDArray[np.generic], count: int) -> npt.NDArray[np.float32] | PolicyFault:
-    """Scores that a policy returned as float32 (count, 64, 64, K), or why they are none."""
+    """Scores that a policy returned as float32 (count, 64, 64, K), or why they cannot be used."""
     if maps.ndim != 4 or maps.shape[:3] != (count, *_BOUNDS[:2]) or not 1 <= maps.shape[3] <= grid.ANGLES:
         expected = (count, *_BOUNDS)
         return PolicyFault(FaultReason.SHAPE, f"maps has shape {maps.shape}, expected {expected} or fewer angles")
@@ -111,7 +111,7 @@ def _check_cell(cell: tuple[int, int, int], valid: npt.NDArray[np.bool_]) -> Ans
 
 
 def reported_fault(header: dict[str, Any]) -> PolicyFault:
-    """The fault that a policy's process reports about itself; nothing in the header is trusted to be of any type."""
+    """The fault that a policy's process reports of itself; no value in the header is trusted to have its type."""
     known = (FaultReason.EXCEPTION, FaultReason.SHAPE, FaultReason.DTYPE)
     reason = header.get("reason")
     where = header.get("where")

@@ -1,4 +1,4 @@
-"""The judge's end of a policy: asks it in batches, and turns every broken promise into a counted fault."""
+"""The evaluator's end of a policy: asks it in batches, and counts every violation of the contract as a fault."""
 
 from __future__ import annotations
 
@@ -25,6 +25,8 @@ _WARNINGS = 3  # failed batches that are logged as warnings: the counts are in t
 class PolicyHost(PolicySession):
     """A policy in its own process, as a context manager: see ``PolicySession`` for what it is made of and raises."""
 
+    returned = ""
+    """Type and shape of the last array that the policy returned."""
     _warned = 0
 
     def act(self, batch: ObservationBatch, situations: tuple[Situation, ...] | None = None) -> list[Answer]:
@@ -56,10 +58,10 @@ class PolicyHost(PolicySession):
         return [answers] if len(batch) == 1 else self._ask_one_by_one(batch, shown)
 
     def _ask_one_by_one(self, batch: ObservationBatch, shown: tuple[Situation, ...] | None) -> list[Answer]:
-        """Find out which observation a failed batch is to be charged to.
+        """Find out which observations of a failed batch are faults.
 
-        Whatever is charged follows from this batch alone: earlier batches may have been asked by another process, in a
-        run that was resumed or on another machine, and the rows must not show it.
+        The result depends on this batch only: in a run that was resumed, or on another machine, another process asked
+        the earlier batches, and the rows must not depend on that.
         """
         answers: list[Answer] = []
         single_s = min(self._limits.batch_s, self._limits.single_s)
@@ -82,6 +84,7 @@ class PolicyHost(PolicySession):
             return reply
         header, arrays = reply
         if header.get("ok") is True and "answer" in arrays:
+            self.returned = f"{arrays['answer'].dtype} {_shape(arrays['answer'])}"
             return check_answer(arrays["answer"], batch.valid)
         fault = reported_fault(header)
         return fault if fault.reason == FaultReason.EXCEPTION else [fault] * len(batch)
@@ -106,3 +109,7 @@ class PolicyHost(PolicySession):
         if header.get("ok") is True and "answer" in arrays:
             return check_maps(arrays["answer"], len(batch))
         return reported_fault(header)
+
+
+def _shape(answer: npt.NDArray[np.generic]) -> str:
+    return "(N,)" if answer.ndim == 1 else f"(N, {', '.join(map(str, answer.shape[1:]))})"

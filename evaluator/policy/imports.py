@@ -6,26 +6,25 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["own_modules"]
+__all__ = ["outermost_folder", "own_modules"]
 
 _PRODUCT = ("rema_data", "evaluator")
-"""Packages that the run's other digests speak for, wherever they lie."""
+"""Packages that other digests of the run cover."""
 
 
 def own_modules(file: Path) -> list[Path]:
     """Files that ``file`` imports from its own folder, or from where its package lies, and what these import; sorted.
 
-    Of an installed package only its own modules count, since what lies beside it are strangers: the same as in a
-    checkout. An import that is computed when it runs is not seen, and a file that is no Python has none.
+    Of an installed package only its own modules count, not the packages beside it: the same as in a
+    checkout. An import that is computed at run time is not seen, and a file that is not Python has none.
 
     Parameters
     ----------
     file : Path
         Absolute.
     """
-    root = file.parent
-    while (root / "__init__.py").is_file():
-        root = root.parent
+    root = outermost_folder(file)
+    root = root.parent if (root / "__init__.py").is_file() else root
     installed = root != file.parent and any(root.glob("*.dist-info"))
     package = file.relative_to(root).parts[0]
     found: set[Path] = set()
@@ -40,6 +39,14 @@ def own_modules(file: Path) -> list[Path]:
                     found.add(path)
                     waiting.append(path)
     return sorted(found)
+
+
+def outermost_folder(file: Path) -> Path:
+    """The folder of the outermost package that ``file`` is a module of; its own folder where it is in no package."""
+    folder = file.parent
+    while (folder / "__init__.py").is_file() and (folder.parent / "__init__.py").is_file():
+        folder = folder.parent
+    return folder
 
 
 def _imported(file: Path, root: Path) -> Iterator[str]:

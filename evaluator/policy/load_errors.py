@@ -1,4 +1,4 @@
-"""What a submitter is told when a policy cannot be used: the last lines that it printed, and what mends it."""
+"""Messages for a policy that cannot be loaded: the last lines that it printed, and how to fix it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from evaluator.policy.sandbox.isolation import Isolation
 
-__all__ = ["Refusal", "conversion_command", "printable", "refusal_hint"]
+__all__ = ["LoadFailure", "conversion_command", "printable", "load_hint"]
 
 _SHOWN = 2000  # characters
 _UNPICKLING = "_pickle.UnpicklingError"
@@ -17,7 +17,7 @@ _DENIED = "builtins.PermissionError"
 _OWN = "rema_data.errors.RemaError"
 _PICKLES = (".pt", ".pth", ".ckpt", ".pkl", ".bin")
 _FILES = 5
-"""So many pickles of a folder are named."""
+"""Number of pickles of a folder that are named."""
 
 
 def conversion_command(path: Path, *, trust: bool = False) -> str:
@@ -27,16 +27,16 @@ def conversion_command(path: Path, *, trust: bool = False) -> str:
     ----------
     path : Path
     trust : bool
-        Whether the file needs to be opened as a program, which whoever types the command has to want.
+        Whether the pickle may run code when it is opened; the user has to choose that.
     """
     words = ["python", "-m", "evaluator.policy.conversion", str(path), *(["--trust"] if trust else [])]
     return shlex.join(words)
 
 
 def printable(said: object) -> str:
-    """What a policy said, fit for a terminal and for a record: no control characters, no lone surrogates, not long.
+    """Text of a policy, fit for a terminal and for a record: no control characters, no lone surrogates, not long.
 
-    What should be text and is not (a hostile policy writes its own replies) is shown as its type.
+    A value that is not text (a hostile policy writes its own replies) is shown as its type.
     """
     text = said if isinstance(said, str) else f"({type(said).__name__})"
     text = text[:_SHOWN].encode(errors="backslashreplace").decode()
@@ -44,15 +44,15 @@ def printable(said: object) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Refusal:
-    """Why a policy cannot be used, as its process or the judge says it.
+class LoadFailure:
+    """Why a policy cannot be used, as its process or the evaluator reports it.
 
     Attributes
     ----------
     message : str
         What is wrong, in a line.
     where : str
-        File and line, where it was raised in the submitter's code.
+        File and line in the submitter's code where it was raised.
     trace : str
         The last lines of the traceback.
     kinds : tuple of str
@@ -65,15 +65,15 @@ class Refusal:
     kinds: tuple[str, ...] = ()
 
     @property
-    def mended_by_its_message(self) -> bool:
-        """Whether an error of rema's own was raised, whose last line says what to do."""
+    def explains_itself(self) -> bool:
+        """Whether it is an error of rema, whose last line says what to do."""
         return _OWN in self.kinds
 
     @staticmethod
-    def of(header: dict[str, Any]) -> Refusal:
-        """What a process says of itself; nothing in it is trusted to be of any type."""
+    def of(header: dict[str, Any]) -> LoadFailure:
+        """From the reply of a process; no value in it is trusted to have the right type."""
         kinds = header.get("kinds")
-        return Refusal(
+        return LoadFailure(
             printable(header.get("message", "could not be loaded")),
             printable(header.get("where", "")),
             printable(header.get("traceback", "")),
@@ -81,36 +81,36 @@ class Refusal:
         )
 
 
-def refusal_hint(
-    refusal: Refusal, place: str, printed: str, isolation: Isolation | None, checkpoint: Path | None
+def load_hint(
+    failure: LoadFailure, place: str, printed: str, isolation: Isolation | None, checkpoint: Path | None
 ) -> str:
-    """Lines below a refusal.
+    """Lines below the message: what was raised, and how to fix it.
 
     Parameters
     ----------
-    refusal : Refusal
+    failure : LoadFailure
     place : str
-        File, or file and line, that is to be mended.
+        File, or file and line, to fix.
     printed : str
-        What it printed, shown where there is no traceback.
+        What the policy printed; shown where there is no traceback.
     isolation : Isolation or None
-        None where its process did not come as far.
+        None where the process did not get so far.
     checkpoint : Path or None
-        What it was to load.
+        What the policy had to load.
     """
-    lines = [printable((refusal.trace or printed)[-_SHOWN:]).strip()]
-    if _UNPICKLING in refusal.kinds:
+    lines = [printable((failure.trace or printed)[-_SHOWN:]).strip()]
+    if _UNPICKLING in failure.kinds:
         lines.append(
-            "a pickle can run any code when it is opened, so only tensors are read from it; if you trust whoever made "
-            "it, convert its weights once, and load the safetensors instead:"
+            "a pickle can run any code when it is opened, so only tensors are read from it; if you trust its "
+            "author, convert its weights once, and load the safetensors instead:"
         )
         lines += [conversion_command(path, trust=True) for path in _pickles(checkpoint)]
-    if _DENIED in refusal.kinds and isolation is not None and isolation.level != "L1":
+    if _DENIED in failure.kinds and isolation is not None and isolation.level != "L1":
         lines.append(
             "a policy reads its own folder and its --checkpoint, writes its temporary folder, and starts no process "
             "and no connection: docs/threat_model.md"
         )
-    lines.append(f"mend {place} and run the same command again")
+    lines.append(f"to fix this, edit {place} and run the same command again")
     return "\n".join(line for line in lines if line)
 
 

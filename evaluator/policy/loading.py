@@ -3,28 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import re
 from dataclasses import dataclass
 from pathlib import Path
 
 from evaluator.policy.imports import own_modules
+from evaluator.policy.named import NamedPolicy, find_named, is_reserved, listing
+from evaluator.policy.shipped import shipped_checkpoint
 from rema_data.errors import InputError, MissingFileError
 
-__all__ = ["BUILT_INS", "NAME_LENGTH", "OWN_PREFIX", "PolicySpec", "check_checkpoint", "digest", "resolve"]
+__all__ = ["NAME_LENGTH", "PolicySpec", "check_checkpoint", "digest", "resolve", "weights_of"]
 
-BUILT_INS: dict[str, str] = {
-    "random": "random_policy.py:RandomPolicy",
-    "scripted": "scripted_policy.py:ScriptedPolicy",
-    "reference": "reference_policy.py:ReferencePolicy",
-    "tae": "tae_policy.py:TaePolicy",
-    "tae-joint": "tae_policy.py:TaePolicy",
-    "tae-separate": "tae_policy.py:TaePolicy",
-}
-"""Built-in names: file of the installed ``baselines`` package, and class."""
-
-OWN_PREFIX = "tae-"
-"""Names that begin like this are those of the learned baselines."""
 _DEFAULT_CLASS = "Policy"
 NAME_LENGTH = 80
 """Most characters of a policy's name."""
@@ -41,42 +30,41 @@ class PolicySpec:
     path : Path
         The Python file, absolute.
     class_name : str
+    named : NamedPolicy or None
+        What its package says of it; None for a file.
     """
 
     name: str
     path: Path
     class_name: str
+    named: NamedPolicy | None = None
 
 
 def resolve(reference: str) -> PolicySpec:
-    """The file and class behind ``my_policy.py``, ``my_policy.py:ClassName`` or a built-in name.
+    """The file and class behind ``my_policy.py``, ``my_policy.py:ClassName`` or the name of an installed policy.
 
     Raises
     ------
     MissingFileError
         When the file is not there.
     InputError
-        When the name is no built-in, or what follows the colon is no class name.
+        When no installed policy has that name, or what follows the colon is not a class name.
     """
-    if reference in BUILT_INS:
-        file_name, _, class_name = BUILT_INS[reference].partition(":")
-        return PolicySpec(reference, _baselines_folder() / file_name, class_name)
+    named = find_named(reference)
+    if named is not None:
+        return PolicySpec(reference, named.file, named.class_name, named)
     file_name, class_name = _split(reference)
     path = Path(file_name).expanduser()
     if path.suffix != ".py":
         near = f"{file_name}.py"
-        hint = (
-            f"write {near}"
-            if Path(near).is_file()
-            else f"built-in policies: {', '.join(BUILT_INS)}; or give a .py file"
-        )
+        hint = f"write {near}" if Path(near).is_file() else f"give a .py file, or an installed policy:\n{listing()}"
         raise InputError(f"no policy is called {reference!r}", hint=hint, reference=reference)
     if not path.is_file():
         raise MissingFileError(f"policy file {path} does not exist", hint="check the path", path=path)
     stem = re.sub(r"[^A-Za-z0-9_.-]", "_", path.stem)
     name = stem if class_name == _DEFAULT_CLASS else f"{stem}-{class_name}"
-    if stem in BUILT_INS or name.startswith(OWN_PREFIX):
-        name = name.replace(stem, f"{stem}.py", 1)  # a stranger's random.py must not pass for the built-in
+    if is_reserved(stem) or is_reserved(name):
+        name = name.replace(stem, f"{stem}.py", 1)  # a submitted random.py must not pass for the built-in
     if len(name) > NAME_LENGTH:
         raise InputError(
             f"the policy's name {name!r} has {len(name)} characters, more than {NAME_LENGTH}",
@@ -96,14 +84,6 @@ def _split(reference: str) -> tuple[str, str]:
     return head, tail
 
 
-def _baselines_folder() -> Path:
-    """Folder of the installed ``baselines`` package, found without importing it."""
-    found = importlib.util.find_spec("baselines")
-    if found is None or not found.submodule_search_locations:
-        raise MissingFileError("the package `baselines` is not installed", hint="pip install rema")
-    return Path(next(iter(found.submodule_search_locations))).resolve()
-
-
 def check_checkpoint(checkpoint: Path | None) -> Path | None:
     """The checkpoint as an absolute path, or a MissingFileError."""
     if checkpoint is None:
@@ -112,6 +92,19 @@ def check_checkpoint(checkpoint: Path | None) -> Path | None:
     if not path.exists():
         raise MissingFileError(f"checkpoint {path} does not exist", hint="check the path after --checkpoint", path=path)
     return path.resolve()
+
+
+def weights_of(spec: PolicySpec, checkpoint: Path | None) -> Path | None:
+    """The weights that a policy is to load: those that the user names, else those that come with it.
+
+    Raises
+    ------
+    MissingFileError, IntegrityError
+        They are not there, or not the published ones.
+    """
+    if checkpoint is not None or spec.named is None:
+        return check_checkpoint(checkpoint)
+    return check_checkpoint(spec.named.checkpoint) or shipped_checkpoint(spec.name)
 
 
 def digest(spec: PolicySpec, checkpoint: Path | None) -> str:

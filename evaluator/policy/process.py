@@ -1,4 +1,4 @@
-"""One child process with deadlines: started, asked, killed with all that it started."""
+"""One child process with deadlines: started, asked, and killed together with every process that it started."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ import psutil
 
 from evaluator.engines.signals import signal_name
 from evaluator.policy.output import CappedOutput
-from evaluator.policy.sandbox.cleanup import Guard, descendants, end_family, remove_folder
-from evaluator.policy.sandbox.launch_spec import Enclosure
-from evaluator.policy.sandbox.resource_monitor import Watch
+from evaluator.policy.sandbox.cleanup import CleanupShell, descendants, end_family, remove_folder
+from evaluator.policy.sandbox.launch_spec import LaunchSpec
+from evaluator.policy.sandbox.resource_monitor import ResourceMonitor
 from evaluator.policy.wire import WireError, frame_parts, read_frame
 
-__all__ = ["ChildDeath", "ChildGreed", "ChildNoise", "ChildProcess", "ChildTimeout"]
+__all__ = ["ChildDeath", "ChildOverLimit", "ChildNoise", "ChildProcess", "ChildTimeout"]
 
 _PIPE_BYTES = 1 << 20
 _REPLY_HEADER = 1 << 20
 _GOODBYE_S = 2.0
 _POLL_S = 0.005
 _SLICE_S = 0.5
-"""How often what the policy uses is looked at while the judge waits."""
+"""Time between two looks at the resources that the policy uses, while the evaluator waits."""
 
 
 class ChildTimeout(Exception):
@@ -43,19 +43,19 @@ class ChildDeath(Exception):
 
 
 class ChildNoise(Exception):
-    """The process wrote what is no reply."""
+    """The process wrote something that is not a reply."""
 
 
-class ChildGreed(Exception):
-    """The process used more than it may."""
+class ChildOverLimit(Exception):
+    """The process exceeded a limit."""
 
 
 class _Budget:
-    """Seconds to wait, counted in slices: a judge that was suspended meanwhile (Ctrl-Z) charges one slice at most."""
+    """Seconds to wait, counted in slices: one that was suspended meanwhile (Ctrl-Z) counts as one at most."""
 
-    def __init__(self, seconds: float, watch: Watch | None = None) -> None:
+    def __init__(self, seconds: float, monitor: ResourceMonitor | None = None) -> None:
         self._seconds = self._left = seconds
-        self._watch = watch
+        self._monitor = monitor
 
     @property
     def used_s(self) -> float:
@@ -63,7 +63,7 @@ class _Budget:
         return self._seconds - self._left
 
     def wait(self, read: int | None = None, write: int | None = None) -> None:
-        """Return when the end can be read (written), or raise ChildTimeout or ChildGreed."""
+        """Return when the end can be read (written), or raise ChildTimeout or ChildOverLimit."""
         readable, writable = ([] if end is None else [end] for end in (read, write))
         while True:
             start, allowed = time.monotonic(), max(0.0, min(self._left, _SLICE_S))
@@ -71,8 +71,8 @@ class _Budget:
             self._left -= min(time.monotonic() - start, _SLICE_S)
             if ready:
                 return
-            if self._watch is not None and (excess := self._watch.excess()):
-                raise ChildGreed(excess)
+            if self._monitor is not None and (excess := self._monitor.excess()):
+                raise ChildOverLimit(excess)
             if self._left <= 0:
                 raise ChildTimeout
 
@@ -84,8 +84,7 @@ class ChildProcess:
     ----------
     output : CappedOutput
         Takes what the process prints.
-    enclosure : Enclosure
-        What it is started with.
+    launch : LaunchSpec
 
     Attributes
     ----------
@@ -95,7 +94,7 @@ class ChildProcess:
         Seconds that all questions together took.
     """
 
-    def __init__(self, output: CappedOutput, enclosure: Enclosure) -> None:
+    def __init__(self, output: CappedOutput, launch: LaunchSpec) -> None:
         self.waited_s = 0.0
         # Resolved: it is compared with the folders that the policy may reach.
         self.folder = Path(tempfile.mkdtemp(prefix="rema-policy-")).resolve()
@@ -104,16 +103,16 @@ class ChildProcess:
         log_end = output.open_pipe()
         try:
             self._process = subprocess.Popen(
-                enclosure.command(self.folder),
+                launch.command(self.folder),
                 stdin=request_end,
                 stdout=reply_end,
                 stderr=log_end,
-                env=enclosure.environment(self.folder),
+                env=launch.environment(self.folder),
                 cwd=self.folder,
                 start_new_session=True,
             )
             try:
-                self._guard = Guard(self._process.pid, self.folder)
+                self._cleanup = CleanupShell(self._process.pid, self.folder)
             except BaseException:
                 end_family(self._process, self.folder)
                 raise
@@ -125,7 +124,7 @@ class ChildProcess:
         finally:
             for end in (request_end, reply_end, log_end):
                 os.close(end)
-        self._watch = Watch(self._process.pid, self.folder, enclosure.limits)
+        self._monitor = ResourceMonitor(self._process.pid, self.folder, launch.limits)
         os.set_blocking(self._requests, False)
         os.set_blocking(self._replies, False)
         if hasattr(fcntl, "F_SETPIPE_SZ"):
@@ -136,6 +135,13 @@ class ChildProcess:
     def pid(self) -> int:
         """Process id."""
         return self._process.pid
+
+    def peak_memory_bytes(self) -> int | None:
+        """Most memory that the process held at a time; None where the system does not say."""
+        with contextlib.suppress(OSError, ValueError, IndexError):
+            status = Path(f"/proc/{self.pid}/status").read_text()
+            return 1024 * int(status.split("VmHWM:")[1].split()[0])
+        return None
 
     def ask(
         self, parts: Iterable[bytes | memoryview], seconds: float, reply_bytes: int
@@ -150,18 +156,18 @@ class ChildProcess:
             When the process ended.
         ChildNoise
             When it replied with something else than a frame with at most ``reply_bytes`` of arrays.
-        ChildGreed
+        ChildOverLimit
             When it used more memory or disk than it may.
         """
-        if excess := self._watch.excess_of_disk():
-            raise ChildGreed(excess)
-        budget = _Budget(seconds, self._watch)
+        if excess := self._monitor.excess_of_disk():
+            raise ChildOverLimit(excess)
+        budget = _Budget(seconds, self._monitor)
         try:
             for part in parts:
                 self._write(memoryview(part), budget)
             return read_frame(lambda count: self._read(count, budget), _REPLY_HEADER, reply_bytes)
         except (BrokenPipeError, EOFError) as error:
-            raise ChildDeath(self._obituary()) from error
+            raise ChildDeath(self._how_it_ended()) from error
         except WireError as error:
             raise ChildNoise(f"the reply cannot be read: {error}") from error
         finally:
@@ -184,10 +190,10 @@ class ChildProcess:
                 data += chunk
         return data
 
-    def _obituary(self) -> str:
+    def _how_it_ended(self) -> str:
         found = self._await_end(_GOODBYE_S)
         if found is None:
-            return "closed its pipe to the judge"
+            return "closed its pipe to the evaluator"
         if found.si_code == os.CLD_EXITED:
             return f"ended with exit code {found.si_status}"
         return f"ended with signal {signal_name(found.si_status)}"
@@ -202,8 +208,8 @@ class ChildProcess:
             time.sleep(_POLL_S)
 
     def close(self) -> None:
-        """Say goodbye, then end the process and everything that it started."""
-        known = descendants(self._process)  # once it has ended, they are nobody's
+        """Ask the process to end, then end it and everything that it started."""
+        known = descendants(self._process)  # once it has ended, its children have no parent to be found by
         with contextlib.suppress(OSError, ChildTimeout):
             for part in frame_parts({"op": "close"}, {}):
                 self._write(memoryview(part), _Budget(_GOODBYE_S))
@@ -213,7 +219,7 @@ class ChildProcess:
     def kill(self, known: Iterable[psutil.Process] = ()) -> None:
         """End the process, its group, its descendants, and those of them that are ``known`` already, at once."""
         end_family(self._process, self.folder, known)
-        self._guard.dismiss()
+        self._cleanup.dismiss()
         for end in (self._requests, self._replies):
             with contextlib.suppress(OSError):
                 os.close(end)

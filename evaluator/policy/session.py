@@ -1,4 +1,4 @@
-"""A policy's process, kept running: started, enclosed, asked within its time, started again after a death."""
+"""A policy's process, kept running: started in its sandbox, asked within its time, and started again after it died."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import numpy.typing as npt
 
 from evaluator.policy.contract import ObservationBatch
 from evaluator.policy.faults import FaultReason, PolicyFault
-from evaluator.policy.load_errors import Refusal, printable, refusal_hint
-from evaluator.policy.loading import BUILT_INS, PolicySpec, check_checkpoint
+from evaluator.policy.load_errors import LoadFailure, load_hint, printable
+from evaluator.policy.loading import PolicySpec, check_checkpoint
 from evaluator.policy.output import CappedOutput
-from evaluator.policy.process import ChildDeath, ChildGreed, ChildNoise, ChildProcess, ChildTimeout
+from evaluator.policy.process import ChildDeath, ChildNoise, ChildOverLimit, ChildProcess, ChildTimeout
 from evaluator.policy.sandbox.isolation import Isolation, isolation_of
-from evaluator.policy.sandbox.launch_spec import Enclosure
+from evaluator.policy.sandbox.launch_spec import LaunchSpec
 from evaluator.policy.sandbox.limits import PolicyLimits
 from evaluator.policy.wire import REPLIES, batch_frame, frame_parts
 from rema_data.errors import InputError, SubmissionError
@@ -42,9 +42,9 @@ class PolicySession:
     log : Path or None
         Where the policy's output is appended when the session closes; None keeps it in memory (``output``).
     run : Path or None
-        Folder of the run, which the policy is kept from, as from the runs beside it; that of ``log`` by default.
-    walls : bool
-        Whether the kernel is asked to deny the policy what it has no need of; what stands then is in ``isolation``.
+        Folder of the run: the policy can read neither it nor the runs beside it. The folder of ``log`` by default.
+    confine : bool
+        Whether the kernel restricts the policy (Landlock, seccomp); ``isolation`` says what was reached.
     sandbox : str or None
         A wrapper's command that is put before the policy's, see ``evaluator.policy.sandbox.wrapper``.
 
@@ -77,7 +77,7 @@ class PolicySession:
         log: Path | None = None,
         *,
         run: Path | None = None,
-        walls: bool = True,
+        confine: bool = True,
         sandbox: str | None = None,
     ) -> None:
         self.spec = spec
@@ -86,7 +86,7 @@ class PolicySession:
         self._limits = limits or PolicyLimits()
         self._log = log
         run = log.parent if run is None and log is not None else run
-        self._enclosure = Enclosure(spec.path, self._checkpoint, self._limits, run, walls, sandbox)
+        self._launch = LaunchSpec(spec.path, self._checkpoint, self._limits, run, confine, sandbox)
         self._output = CappedOutput(log, self._limits.log_head_bytes, self._limits.log_tail_bytes)
         self._child: ChildProcess | None = None
         self._isolation: Isolation | None = None
@@ -103,10 +103,20 @@ class PolicySession:
 
     @property
     def isolation(self) -> Isolation:
-        """Which walls stand around the policy, and the level that they add up to; known after entering."""
+        """What the sandbox restricts, and its level; known after entering."""
         if self._isolation is None:
             raise InputError("a policy's isolation is not known before its process runs", hint="enter the host first")
         return self._isolation
+
+    @property
+    def waited_s(self) -> float:
+        """Seconds that all questions together took, the start of the process included."""
+        return self._waited_s + (0.0 if self._child is None else self._child.waited_s)
+
+    @property
+    def peak_memory_bytes(self) -> int | None:
+        """Most memory that the present process held at a time; None where the system does not say."""
+        return None if self._child is None else self._child.peak_memory_bytes()
 
     @property
     def output(self) -> str:
@@ -177,7 +187,7 @@ class PolicySession:
             if seconds > left_s:
                 return self._overdraw()
             return PolicyFault(FaultReason.TIMEOUT, f"no answer within {seconds:g} s")
-        except (ChildDeath, ChildGreed) as death:
+        except (ChildDeath, ChildOverLimit) as death:
             self._drop()
             return PolicyFault(FaultReason.DIED, str(death))
         except ChildNoise as noise:
@@ -192,8 +202,7 @@ class PolicySession:
         """Seconds that the whole run may still wait for the policy."""
         if self._overdrawn:
             return 0.0
-        waited_s = self._waited_s + (0.0 if self._child is None else self._child.waited_s)
-        return self._limits.run_s + self._limits.observation_s * self._asked - waited_s
+        return self._limits.run_s + self._limits.observation_s * self._asked - self.waited_s
 
     def _overdraw(self) -> PolicyFault:
         """The fault of every observation from now on."""
@@ -208,7 +217,7 @@ class PolicySession:
 
     def _start(self) -> None:
         spec = self.spec
-        self._child = ChildProcess(self._output, self._enclosure)
+        self._child = ChildProcess(self._output, self._launch)
         load = {
             "op": "load",
             "path": str(spec.path),
@@ -217,26 +226,26 @@ class PolicySession:
             "device": self._device,
         }
         try:
-            self._enclose(self._child)
+            self._confine(self._child)
             left_s = self._limits.start_s - self._child.waited_s
             header, _ = self._child.ask(frame_parts(load, {}), left_s, 0)
         except ChildTimeout:
-            raise self._refusal(Refusal(f"did not start within {self._limits.start_s:g} s")) from None
-        except (ChildDeath, ChildGreed, ChildNoise) as death:
-            raise self._refusal(Refusal(f"{death} while it started")) from None
+            raise self._error(LoadFailure(f"did not start within {self._limits.start_s:g} s")) from None
+        except (ChildDeath, ChildOverLimit, ChildNoise) as death:
+            raise self._error(LoadFailure(f"{death} while it started")) from None
         if header.get("ok") is not True:
-            raise self._refusal(Refusal.of(header))
+            raise self._error(LoadFailure.of(header))
         found = header.get("privileged") is True
         if self._privileged not in (None, found):
             # What the run says of the policy was taken from its first process.
             was, now = (f"`privileged` {value}" for value in (self._privileged, found))
-            raise self._refusal(Refusal(f"started again it has {now}, at first it had {was}"))
+            raise self._error(LoadFailure(f"started again it has {now}, at first it had {was}"))
         self._privileged = found
 
-    def _enclose(self, child: ChildProcess) -> None:
-        """Have the walls put up; nothing of the policy was read before."""
-        sandbox = self._enclosure.sandbox
-        orders = self._enclosure.orders(child.folder)
+    def _confine(self, child: ChildProcess) -> None:
+        """Restrict the process, before anything of the policy is read."""
+        sandbox = self._launch.sandbox
+        orders = self._launch.orders(child.folder)
         try:
             report, _ = child.ask(frame_parts(orders, {}), self._limits.start_s, 0)
         except (ChildTimeout, ChildDeath, ChildNoise) as error:
@@ -244,26 +253,24 @@ class PolicySession:
                 raise
             self._drop()
             raise InputError(
-                f"no process of Python came up in --sandbox {sandbox!r}: {error or 'it took too long'}",
-                hint=f"{printable(self._output.text()).strip()}\nlet it see the folders of Python and of this package",
+                f"Python did not start in --sandbox {sandbox!r}: {error or 'it took too long'}",
+                hint=f"{printable(self._output.text()).strip()}\nlet it see the folders of Python and of rema",
             ) from None
         found = isolation_of(report, sandbox)
         if self._isolation not in (None, found):
-            raise self._refusal(Refusal(f"other walls stand around it than at first: {found}"))
+            raise self._error(LoadFailure(f"its sandbox is not the one of its first process: {found}"))
         self._isolation = found
 
-    def _refusal(self, refusal: Refusal) -> SubmissionError:
+    def _error(self, failure: LoadFailure) -> SubmissionError:
         self._drop()
-        if self.spec.name in BUILT_INS and refusal.mended_by_its_message:
-            # Its code is rema's, and needs no mending: its checkpoint does.
-            return SubmissionError(f"policy {self.spec.name} cannot be used: {refusal.message}", path=self.spec.path)
-        where = refusal.where
-        hint = refusal_hint(
-            refusal, where or str(self.spec.path), self._output.text(), self._isolation, self._checkpoint
-        )
+        if self.spec.named is not None and failure.explains_itself:
+            # The code of an installed policy needs no fix: its checkpoint does.
+            return SubmissionError(f"policy {self.spec.name} cannot be used: {failure.message}", path=self.spec.path)
+        where = failure.where
+        hint = load_hint(failure, where or str(self.spec.path), self._output.text(), self._isolation, self._checkpoint)
         if self._log is not None and self._output.total:
-            hint += f"\nwhat it printed is in {self._log}"
-        message = f"policy {self.spec.name} cannot be used: {refusal.message}" + (f" ({where})" if where else "")
+            hint += f"\nits output is in {self._log}"
+        message = f"policy {self.spec.name} cannot be used: {failure.message}" + (f" ({where})" if where else "")
         return SubmissionError(message, hint=hint, path=self.spec.path, where=where)
 
     def _drop(self) -> None:

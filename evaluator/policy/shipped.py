@@ -115,7 +115,7 @@ def _manifest() -> Path:
 
 
 def _check(place: Path, files: Mapping[str, str]) -> None:
-    """Raise where a folder is not what the manifest names: a policy would load whatever network lies in it."""
+    """Raise where a folder is not what the manifest names: a policy loads every network that lies in it."""
     for name in sorted(_networks(place) - set(files)):
         raise IntegrityError(
             f"{place / name} is not one of the published networks of {place.name}",

@@ -1,4 +1,4 @@
-"""Frames between the judge and a policy: a small JSON header, then the bytes of its arrays. No pickle on either side.
+"""Frames between the evaluator and a policy: a small JSON header, then the bytes of its arrays. No pickles.
 
 ::
 
@@ -81,7 +81,7 @@ def read_frame(read: Read, max_header: int, max_bytes: int) -> tuple[dict[str, A
     Raises
     ------
     WireError
-        When the bytes are no frame, or announce more than ``max_header`` or ``max_bytes``.
+        When the bytes are not a frame, or announce more than ``max_header`` or ``max_bytes``.
     """
     (length,) = _LENGTH.unpack(read(_LENGTH.size))
     if length > max_header:
@@ -116,7 +116,7 @@ class _Described(NamedTuple):
 
 
 def _described(entry: Any) -> _Described:
-    """Take an entry of ``arrays`` apart; nothing in it is trusted to be of any type."""
+    """An entry of ``arrays``, checked; no value in it is trusted to have the right type."""
     if not isinstance(entry, list) or len(entry) != 4:
         raise WireError("an array is not described by four values")
     name, dtype, shape, repeat = entry
@@ -125,7 +125,7 @@ def _described(entry: Any) -> _Described:
     if not isinstance(shape, list) or len(shape) > _AXES or not all(_is_count(size) for size in shape):
         raise WireError("an array has no shape")
     if not _is_count(repeat) or repeat < 1 or (repeat > 1 and not shape):
-        raise WireError("an array is repeated a number of times that is none")
+        raise WireError("an array is repeated an invalid number of times")
     return _Described(name, np.dtype(dtype), tuple(shape), repeat)
 
 

@@ -133,7 +133,7 @@ def ask_scores(
     found: dict[int, Scored] = {}
     with PolicyHost(asked.policy, asked.checkpoint, asked.device, run=run, sandbox=asked.sandbox) as host:
         if note is not None:
-            note(f"policy isolation {host.isolation}")
+            note(f"policy sandbox: {host.isolation}")
         for numbers in by_step.values():
             for start in range(0, len(numbers), BATCH):
                 part = numbers[start : start + BATCH]

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from evaluator.policy.loading import BUILT_INS
+from evaluator.policy.named import policy_names
 from rema_data.errors import IntegrityError, MissingFileError
 from rema_data.storage import storage_errors
 
@@ -82,7 +82,7 @@ def resume_command(header: dict[str, Any], folder: Path) -> str:
     """The ``rema evaluate`` that made a run, as far as ``run.json`` tells: without its checkpoint."""
     policy, identity = header["policy"], header["identity"]
     name = policy.get("name")
-    if name not in BUILT_INS:
+    if name not in policy_names():
         name = f"{policy['file']}:{policy['class_name']}" if {"file", "class_name"} <= policy.keys() else "POLICY"
     words = ["rema", "evaluate", str(name)]
     for option in ("task", "protocol", "split"):

@@ -12,7 +12,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.policy.loading import BUILT_INS, NAME_LENGTH
+from evaluator.policy.loading import NAME_LENGTH
+from evaluator.policy.named import PRIVILEGED_KINDS, kind_of
 from evaluator.protocol import PROTOCOLS
 from evaluator.scenarios import SPLITS
 from rema_data.errors import InputError, IntegrityError, MissingFileError
@@ -159,15 +160,12 @@ class ScoredRun:
 
     @property
     def tag(self) -> str:
-        """``random``, ``privileged``, ``learned`` (a built-in network) or ``submitted``.
+        """The kind of an installed policy, as its package says, or ``submitted``.
 
-        Who saw the ground truth is never called anything else.
+        A policy that saw the ground truth is always ``privileged``.
         """
-        if self.privileged or self.policy in ("scripted", "reference"):
-            return "privileged"
-        if self.policy == "random":
-            return "random"
-        return "learned" if self.policy in BUILT_INS else "submitted"
+        kind = kind_of(self.policy)
+        return "privileged" if self.privileged or kind in PRIVILEGED_KINDS else kind or "submitted"
 
 
 def acting_steps(task: str, protocol: str) -> tuple[int, ...]:

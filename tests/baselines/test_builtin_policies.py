@@ -21,14 +21,33 @@ from evaluator.sim.parameters import WORLD
 from evaluator.sim.reach import valid_actions
 from evaluator.sim.simulator import Simulator
 from evaluator.sim.spawn import collection_generator, draw_step
+from evaluator.testing.policies import PolicyContract
 from rema_data import grid
 from rema_data.schema import Shape, Situation
 from tests.evaluator.policy.batches import make_batch, make_situation
 
+EXAMPLE = Path(__file__).parents[2] / "examples" / "my_policy.py"
+
+
+class TestScripted(PolicyContract):
+    policy = "scripted"
+
+
+class TestReference(PolicyContract):
+    policy = "reference"
+
+
+class TestLearned(PolicyContract):
+    policy = "tae-joint"
+    task = "grasp"
+
+
+class TestExample(PolicyContract):
+    policy = EXAMPLE
+
 
 def example() -> Any:
-    path = Path(__file__).parents[2] / "examples" / "my_policy.py"
-    spec = importlib.util.spec_from_file_location("example_policy", path)
+    spec = importlib.util.spec_from_file_location("example_policy", EXAMPLE)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

@@ -17,8 +17,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-import evaluator
 import rema_data
+from evaluator.policy.imports import outermost_folder
 from rema_data.errors import MissingFileError
 from rema_data.manifests import manifests_dir
 from rema_data.storage import rema_home
@@ -84,7 +84,7 @@ def allowed_for(
     survey = _Survey(frozenset(path.resolve() for path in (*secrets(), *hidden)))
     for root in (*_SYSTEM, *(f"/etc/{name}" for name in _ETC)):
         survey.add(Path(root))
-    for folder in (*_python_folders(environment), policy.parent):
+    for folder in (*_python_folders(environment), outermost_folder(policy)):
         survey.add(folder)
     if checkpoint is not None:
         survey.add(checkpoint)
@@ -102,7 +102,7 @@ def secrets() -> list[Path]:
 
 def packages_folder() -> Path:
     """The folder that holds the packages of this project: a checkout, or site-packages."""
-    return Path(evaluator.__file__).resolve().parent.parent
+    return Path(__file__).resolve().parents[3]
 
 
 def _python_folders(environment: Mapping[str, str]) -> Iterator[Path]:

@@ -1,4 +1,4 @@
-"""What is left of a policy is ended and removed, also when the judge is killed with no chance to do it."""
+"""End the processes of a policy and remove its folder, also when the evaluator itself is killed."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from pathlib import Path
 
 import psutil
 
-__all__ = ["Guard", "descendants", "end_family", "remove_folder"]
+__all__ = ["CleanupShell", "descendants", "end_family", "remove_folder"]
 
-# `read` succeeds when the judge says goodbye, and fails when the judge is gone. The kernel has ended the policy by
-# then; what it started lives on in its group.
+# `read` succeeds when the evaluator has cleaned up, and fails when it ended before that. By then the kernel has ended
+# the policy; the processes that it started live on in its group.
 _SCRIPT = 'read -r goodbye && exit; kill -s KILL -- "-$1"; chmod -R u+rwx -- "$2"; rm -rf -- "$2"'
 
 
-class Guard:
-    """A shell that outlives the judge for one moment, to end a process group and to remove a folder.
+class CleanupShell:
+    """A shell that outlives the evaluator for a moment, to end a process group and to remove a folder.
 
     Parameters
     ----------
@@ -31,10 +31,10 @@ class Guard:
     """
 
     def __init__(self, group: int, folder: Path) -> None:
-        reader, self._lifeline = os.pipe()  # the judge alone holds the end to write: it is not inherited
+        reader, self._lifeline = os.pipe()  # only the evaluator holds the write end: it is not inherited
         try:
             self._shell = subprocess.Popen(
-                ["/bin/sh", "-c", _SCRIPT, "rema-policy-guard", str(group), str(folder)],
+                ["/bin/sh", "-c", _SCRIPT, "rema-policy-cleanup", str(group), str(folder)],
                 stdin=reader,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
@@ -47,7 +47,7 @@ class Guard:
             os.close(reader)
 
     def dismiss(self) -> None:
-        """Send it home: the judge has done its work."""
+        """End the shell: the evaluator has cleaned up."""
         with suppress(OSError):
             os.write(self._lifeline, b"\n")
         os.close(self._lifeline)
@@ -55,7 +55,7 @@ class Guard:
 
 
 def descendants(process: subprocess.Popen[bytes]) -> list[psutil.Process]:
-    """What ``process`` started, and what that started: while ``process`` lives, nothing of it is missing."""
+    """Children of ``process``, and their children; complete while ``process`` lives."""
     with suppress(psutil.Error):
         found: list[psutil.Process] = psutil.Process(process.pid).children(recursive=True)
         return found
@@ -70,12 +70,13 @@ def end_family(process: subprocess.Popen[bytes], folder: Path, known: Iterable[p
     process : subprocess.Popen
     folder : Path
     known : iterable of psutil.Process
-        Its descendants at a time when it lived for certain.
+        Its descendants, listed while it was alive.
 
     Notes
     -----
-    What left the group is known by its ancestors, or by the temporary folder that it inherited. Where no wall denies
-    processes, one that wants to stay can: it empties its environment, and its parent and the policy end first.
+    A process that left the group is found by its ancestors, or by the temporary folder that it inherited. Where the
+    sandbox does not deny new processes, one can escape: it empties its environment, and its parent and the policy end
+    first.
     """
     members = [*known, *_strayed(folder), *descendants(process)]
     # The leader was not waited for yet, so the number of the group is still its own.
@@ -89,7 +90,7 @@ def end_family(process: subprocess.Popen[bytes], folder: Path, known: Iterable[p
 
 
 def remove_folder(folder: Path) -> None:
-    """Remove a folder that somebody else filled: folders that may not be entered, or nested without end."""
+    """Remove the folder of a policy, which may hold folders that deny access or are nested very deeply."""
     with suppress(RecursionError):
         shutil.rmtree(folder, ignore_errors=True)
     if folder.exists():

@@ -1,12 +1,12 @@
-"""How far a policy is kept from the judge: which walls are up, and the level that they add up to.
+"""The isolation level of a policy, and the restrictions that it follows from.
 
 ::
 
     L1   a process of its own: clean environment, limits, deadlines, killed by group
-    L2   and the kernel denies it files, network, other processes, signals
+    L2   and Landlock and seccomp deny it files, network, other processes, signals
     L3   and a wrapper (bwrap, nsjail, podman) gave it namespaces of its own
 
-A level is a list of what was tried and found closed, not a promise: see ``docs/threat_model.md``.
+A level lists what was tried and denied; it is not a guarantee: see ``docs/threat_model.md``.
 """
 
 from __future__ import annotations
@@ -16,62 +16,66 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["Isolation", "Wall", "isolation_of"]
+__all__ = ["Isolation", "Restriction", "isolation_of"]
 
-KERNEL_WALLS = ("files", "network", "processes", "signals", "inspection")
+KERNEL_RESTRICTIONS = ("files", "network", "processes", "signals", "inspection")
 """All of them make L2."""
 NAMESPACES = ("mnt", "net", "pid")
-"""All of them, besides the kernel's walls, make L3."""
+"""All of them, besides the restrictions of the kernel, make L3."""
 
 
 @dataclass(frozen=True, slots=True)
-class Wall:
-    """One thing that a policy is kept from.
+class Restriction:
+    """One thing that the sandbox denies or limits.
 
     Attributes
     ----------
     name : str
-    up : bool
-        Whether it was tried, after the wall was put up, and denied.
+    active : bool
+        Whether it was tried in the sandbox, and denied.
     detail : str
-        By what; or why the wall is down.
+        By what; or why it is not denied.
     """
 
     name: str
-    up: bool
+    active: bool
     detail: str
 
 
 @dataclass(frozen=True, slots=True)
 class Isolation:
-    """The walls around a policy.
+    """What the sandbox of a policy restricts.
 
     Attributes
     ----------
     level : {"L1", "L2", "L3"}
-    walls : tuple of Wall
+    restrictions : tuple of Restriction
     sandbox : str or None
         The wrapper's command, as the user gave it.
     """
 
     level: str
-    walls: tuple[Wall, ...]
+    restrictions: tuple[Restriction, ...]
     sandbox: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, ready for JSON: ``level``, ``up`` and ``down`` (wall -> detail), ``sandbox``."""
+        """Ready for JSON: ``level``, ``sandbox``, and the active (``up``) and the other (``down``) restrictions."""
         return {
             "level": self.level,
-            "up": {wall.name: wall.detail for wall in self.walls if wall.up},
-            "down": {wall.name: wall.detail for wall in self.walls if not wall.up},
+            "up": {one.name: one.detail for one in self.restrictions if one.active},
+            "down": {one.name: one.detail for one in self.restrictions if not one.active},
             "sandbox": self.sandbox,
         }
 
     def __str__(self) -> str:
         """One line for a terminal."""
-        up = ", ".join(wall.name for wall in self.walls if wall.up)
-        down = "; ".join(f"{wall.name} ({wall.detail})" for wall in self.walls if not wall.up)
-        return f"{self.level}, walls up: {up}" + (f"; down: {down}" if down else "")
+        if self.level == "L1":
+            missing = "; ".join(f"{one.name}: {one.detail}" for one in self.restrictions if not one.active)
+            return f"L1 (a separate process only; not restricted: {missing})"
+        if self.level == "L3":
+            return "L3 (Landlock + seccomp, own namespaces)"
+        hint = "`--sandbox bwrap` for L3" if self.sandbox is None else self.restrictions[-1].detail
+        return f"L2 (Landlock + seccomp); {hint}"
 
 
 def isolation_of(report: Mapping[str, Any], sandbox: str | None = None) -> Isolation:
@@ -80,27 +84,27 @@ def isolation_of(report: Mapping[str, Any], sandbox: str | None = None) -> Isola
     Parameters
     ----------
     report : mapping
-        What the process said before it read anything of the policy: ``walls`` (name, up, detail of each) and
+        What the process reported before it read anything of the policy: ``restrictions`` (name, active, detail) and
         ``namespaces`` (kind -> identity).
     sandbox : str or None
         The wrapper's command.
     """
-    walls = [Wall("process", True, "own process, session, environment and temporary folder")]
-    walls += [Wall(str(name), up is True, str(detail)) for name, up, detail in report["walls"]]
-    walls.append(_namespaces(report["namespaces"], sandbox))
-    up = {wall.name for wall in walls if wall.up}
-    level = "L1" if not up.issuperset(KERNEL_WALLS) else "L3" if "namespaces" in up else "L2"
-    return Isolation(level, tuple(walls), sandbox)
+    found = [Restriction("process", True, "own process, session, environment and temporary folder")]
+    found += [Restriction(str(name), active is True, str(detail)) for name, active, detail in report["restrictions"]]
+    found.append(_namespaces(report["namespaces"], sandbox))
+    active = {one.name for one in found if one.active}
+    level = "L1" if not active.issuperset(KERNEL_RESTRICTIONS) else "L3" if "namespaces" in active else "L2"
+    return Isolation(level, tuple(found), sandbox)
 
 
-def _namespaces(found: Mapping[str, str], sandbox: str | None) -> Wall:
-    """Whether the process sees other files, networks and processes than the judge, whatever the wrapper is called."""
+def _namespaces(found: Mapping[str, str], sandbox: str | None) -> Restriction:
+    """Whether the process sees other files, networks and processes than the evaluator does, for any wrapper."""
     if sandbox is None:
-        return Wall("namespaces", False, "no wrapper (--sandbox)")
+        return Restriction("namespaces", False, "no wrapper (--sandbox)")
     shared = [kind for kind in NAMESPACES if kind not in found or found[kind] == _own_namespace(kind)]
     if shared:
-        return Wall("namespaces", False, f"the wrapper shares with the judge: {', '.join(shared)}")
-    return Wall("namespaces", True, ", ".join(NAMESPACES))
+        return Restriction("namespaces", False, f"the wrapper shares with the evaluator: {', '.join(shared)}")
+    return Restriction("namespaces", True, ", ".join(NAMESPACES))
 
 
 def _own_namespace(kind: str) -> str | None:

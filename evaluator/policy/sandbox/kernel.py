@@ -1,7 +1,7 @@
-"""The walls around a policy, put up inside its own process before anything of the policy is read.
+"""The restrictions of a policy, set inside its own process before anything of the policy is read.
 
 Run as a script, ``python kernel.py``, with questions on standard input and replies on standard output. The first
-question says what the policy may reach, the first reply which walls stand: each is tried after it was put up. The
+question says what the policy may reach; the first reply says what is restricted, each tried after it was set. The
 kernel binds its rules to a thread and to those that it starts: nothing that starts threads (numpy) may come before.
 """
 
@@ -27,7 +27,7 @@ _PR_SET_CHILD_SUBREAPER = 36
 _CLONE_THREAD = 0x10000
 _TRUNCATION = 3  # the first version of Landlock that covers it
 _NAMESPACES = ("mnt", "net", "pid", "ipc", "user", "uts")
-_LIMIT_WALLS = {"RLIMIT_DATA": "memory", "RLIMIT_FSIZE": "disk", "RLIMIT_NOFILE": "descriptors"}
+_LIMITED = {"RLIMIT_DATA": "memory", "RLIMIT_FSIZE": "disk", "RLIMIT_NOFILE": "descriptors"}
 
 _DENIED = {
     "network": ("socket",),
@@ -48,16 +48,16 @@ _DENIED = {
         "setrlimit",
     ),
 }  # fmt: skip
-"""System calls that fail with EPERM, whatever their arguments."""
+"""System calls that fail with EPERM, with any arguments."""
 _OWN_PROCESS_ONLY = ("kill", "tgkill", "rt_sigqueueinfo", "rt_tgsigqueueinfo")
 _NUMBERS = {"fchmodat2": 452, "setxattrat": 463, "removexattrat": 466}
 """Of calls that an older libseccomp does not know by name; they are the same on every architecture."""
 
 
 def main() -> None:
-    """Put the walls up, then serve (``evaluator.policy.child``).
+    """Restrict this process, then serve (``evaluator.policy.child``).
 
-    The first question holds ``walls`` (bool), ``allowed`` (see ``evaluator.policy.sandbox.allowlist``) and ``limits``
+    The first question holds ``confine`` (bool), ``allowed`` (see ``evaluator.policy.sandbox.allowlist``) and ``limits``
     (name of a limit of ``resource`` -> value).
     """
     _die_with_parent()
@@ -69,21 +69,21 @@ def main() -> None:
     for kind in _NAMESPACES:
         with suppress(OSError):
             namespaces[kind] = os.readlink(f"/proc/self/ns/{kind}")
-    walls = _limit(orders["limits"])
-    if orders["walls"]:
+    restrictions = _limit(orders["limits"])
+    if orders["confine"]:
         landlock, filtered = _try(_restrict_files, orders["allowed"]), _try(_filter_calls)
-        walls += _tried(landlock, filtered)
+        restrictions += _tried(landlock, filtered)
     else:
-        walls += [(name, False, "not asked for") for name in _PROBES]
+        restrictions += [(name, False, "not asked for") for name in _PROBES]
     sys.argv = [""]
 
     from evaluator.policy.child import serve
 
-    serve(requests, replies, {"walls": walls, "namespaces": namespaces})
+    serve(requests, replies, {"restrictions": restrictions, "namespaces": namespaces})
 
 
 def _die_with_parent() -> None:
-    """Let the kernel end this process with the judge, also while the policy holds the interpreter.
+    """Let the kernel end this process together with the evaluator, also while the policy holds the interpreter.
 
     Where the policy may start processes, those that lose their parent stay its descendants, by which they are found.
     """
@@ -109,7 +109,7 @@ def _read_header(requests: int) -> dict[str, Any]:
     def read(count: int) -> bytes:
         data = b""
         while len(data) < count:
-            data += os.read(requests, count - len(data)) or sys.exit("the judge is gone")
+            data += os.read(requests, count - len(data)) or sys.exit("the evaluator has ended")
         return data
 
     header: dict[str, Any] = json.loads(read(int.from_bytes(read(4), "big")))
@@ -117,7 +117,7 @@ def _read_header(requests: int) -> dict[str, Any]:
 
 
 def _limit(limits: dict[str, int]) -> list[tuple[str, bool, str]]:
-    """Set the limits of the process; the walls of memory, disk and descriptors."""
+    """Set the limits of the process; which of memory, disk and descriptors are limited."""
     found = []
     for name, value in limits.items():
         detail = f"{name} {value}"
@@ -129,18 +129,18 @@ def _limit(limits: dict[str, int]) -> list[tuple[str, bool, str]]:
             up = resource.getrlimit(kind) == (value, value)
         except (AttributeError, ValueError, OSError) as error:
             up, detail = False, f"{detail}: {error}"
-        if name in _LIMIT_WALLS:
-            found.append((_LIMIT_WALLS[name], up, detail))
+        if name in _LIMITED:
+            found.append((_LIMITED[name], up, detail))
     return found
 
 
-def _try(put_up: Callable[..., str], *arguments: Any) -> tuple[bool, str]:
-    """Whether a library could put its walls up, and what it says."""
+def _try(restrict: Callable[..., str], *arguments: Any) -> tuple[bool, str]:
+    """Whether a library could set its restrictions, and by what or why not."""
     try:
-        return True, put_up(*arguments)
+        return True, restrict(*arguments)
     except ImportError as error:
         return False, f"{error.name or error} is not installed"
-    except Exception as error:  # a wall that is down is told, and is no reason to lose the policy
+    except Exception as error:  # reported as not restricted; the policy still runs
         return False, f"{type(error).__name__}: {error}"
 
 
@@ -197,7 +197,7 @@ def _filter_calls() -> str:
 
 
 def _tried(landlock: tuple[bool, str], filtered: tuple[bool, str]) -> list[tuple[str, bool, str]]:
-    """Try every wall: by what it is up, or why it is down."""
+    """Try everything that should be denied: by what it is denied, or why it is not."""
     found = []
     for name, (builders, probe) in _PROBES.items():
         told = {"landlock": landlock, "seccomp": filtered}
@@ -248,7 +248,7 @@ _PROBES: dict[str, tuple[tuple[str, ...], Callable[[], object]]] = {
     "signals": (("landlock", "seccomp"), _signal_parent),
     "inspection": (("landlock", "seccomp"), _inspect_parent),
 }
-"""By what each wall is put up, and what must fail behind each wall."""
+"""What sets each restriction, and a call that must fail under it."""
 
 
 if __name__ == "__main__":

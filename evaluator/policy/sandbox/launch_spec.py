@@ -17,7 +17,7 @@ from evaluator.policy.sandbox.limits import PolicyLimits
 from evaluator.policy.sandbox.wrapper import check_sandbox, wrapped
 from rema_data.manifests import manifests_dir
 
-__all__ = ["Enclosure"]
+__all__ = ["LaunchSpec"]
 
 _KEPT_VARIABLES = (
     "PATH", "USER", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "VIRTUAL_ENV", "CONDA_PREFIX", "PYTHONPATH", "LD_LIBRARY_PATH",
@@ -29,8 +29,8 @@ _RUN_FILE = "run.json"
 
 
 @dataclass(frozen=True, slots=True)
-class Enclosure:
-    """Where a policy runs.
+class LaunchSpec:
+    """How the process of a policy is started.
 
     Attributes
     ----------
@@ -40,9 +40,9 @@ class Enclosure:
         Absolute.
     limits : PolicyLimits
     run : Path or None
-        Folder of the run, which the policy must not see.
-    walls : bool
-        Whether the kernel is asked to deny what the policy has no need of.
+        Folder of the run, which the policy must not read.
+    confine : bool
+        Whether the kernel restricts the process (Landlock, seccomp).
     sandbox : str or None
         A wrapper's command, see ``evaluator.policy.sandbox.wrapper``.
 
@@ -56,7 +56,7 @@ class Enclosure:
     checkpoint: Path | None = None
     limits: PolicyLimits = field(default_factory=PolicyLimits)
     run: Path | None = None
-    walls: bool = True
+    confine: bool = True
     sandbox: str | None = None
 
     def __post_init__(self) -> None:
@@ -112,7 +112,7 @@ class Enclosure:
         allowed = asdict(
             allowed_for(self.policy, self.checkpoint, temporary, self.environment(temporary), self._runs())
         )
-        return {"op": "enclose", "walls": self.walls, "limits": limits, "allowed": allowed}
+        return {"op": "confine", "confine": self.confine, "limits": limits, "allowed": allowed}
 
     def _runs(self) -> list[Path]:
         """The folder of this run, and those beside it."""

@@ -1,4 +1,4 @@
-"""What a policy may take of the machine and of the judge's time."""
+"""Limits of a policy: memory, disk, processes and time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _SHARE_OF_MEMORY = 0.75
 
 @dataclass(frozen=True, slots=True)
 class PolicyLimits:
-    """What a policy may take.
+    """Limits of a policy.
 
     Attributes
     ----------
@@ -24,13 +24,13 @@ class PolicyLimits:
     single_s : float
         For one observation of a batch that failed, at most ``batch_s``.
     run_s, observation_s : float
-        All waiting for one host together: at most ``run_s`` and ``observation_s`` more for every observation asked.
-        Past that nothing is asked any more, and every observation is a time-out.
+        All waiting for one host together: at most ``run_s``, and ``observation_s`` more for every observation asked.
+        After that nothing is asked any more, and every further observation is a time-out.
     log_head_bytes, log_tail_bytes : int
         Kept of the beginning and of the end of what the policy prints.
     deaths_in_row : int
-        The observations of a batch that failed are asked again one by one: so many time-outs and deaths in a row, and
-        the rest of the batch is charged too.
+        The observations of a failed batch are asked again one by one. After so many time-outs and deaths in a row the
+        rest of the batch counts as faults too.
     memory_bytes : int or None
         Memory; None is three quarters of what the machine has.
     disk_bytes, disk_files : int

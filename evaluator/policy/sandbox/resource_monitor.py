@@ -1,4 +1,4 @@
-"""What a policy uses, looked at from outside while the judge waits: the kernel limits a file, not a folder."""
+"""Memory and disk of a policy, measured from outside while the evaluator waits: the kernel limits only files."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import psutil
 
 from evaluator.policy.sandbox.limits import PolicyLimits
 
-__all__ = ["Watch"]
+__all__ = ["ResourceMonitor"]
 
-_BLOCK = 512  # bytes of st_blocks, whatever the file system
+_BLOCK = 512  # bytes of st_blocks, on every file system
 
 
-class Watch:
+class ResourceMonitor:
     """Compares what a process and its descendants use with what they may.
 
     Parameters

@@ -38,7 +38,9 @@ def check_sandbox(command: str | None) -> list[str]:
     try:
         words = shlex.split(command)
     except ValueError as error:
-        raise InputError(f"--sandbox {command!r} is no command: {error}", hint="close its quotes") from error
+        raise InputError(
+            f"--sandbox {command!r} cannot be split into words: {error}", hint="close its quotes"
+        ) from error
     if not words:
         raise InputError("--sandbox names no command", hint="give one, such as: --sandbox 'bwrap ... --'")
     unknown = sorted({name for word in words for name in _PLACE.findall(word)} - set(PLACES))

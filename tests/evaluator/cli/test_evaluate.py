@@ -153,7 +153,7 @@ def test_json_is_alone_on_stdout(recorder: Recorder) -> None:
         (("random", "--task", "grasp", "--episodes", "0"), "0 is not in the range x>=1"),
         (("random", "--task", "grasp", "--workers", "0"), "x>=1"),
         (("random", "--task", "grasp", "--checkpoint", "none.pt"), "checkpoint none.pt does not exist"),
-        (("nobody", "--task", "grasp"), "built-in policies: random, scripted"),
+        (("nobody", "--task", "grasp"), "random        Uniform over the valid actions. (random)"),
         (("none.py", "--task", "grasp"), "policy file none.py does not exist"),
     ],
 )

@@ -31,16 +31,16 @@ LANDLOCK_VERSION = (444, None, 0, 1)
 """The system call that answers which version of Landlock the kernel has; its number is the same on every machine."""
 
 
-def walls_can_stand() -> bool:
+def sandbox_is_possible() -> bool:
     """Whether this kernel has Landlock that covers truncation, and this machine has libseccomp: asked without rema."""
     landlock = ctypes.CDLL(None, use_errno=True).syscall(*LANDLOCK_VERSION) if os.uname().sysname == "Linux" else 0
     return bool(landlock >= 3 and ctypes.util.find_library("seccomp"))
 
 
-def skip_without_walls(host: PolicyHost) -> None:
+def skip_without_sandbox(host: PolicyHost) -> None:
     """Skip where the machine cannot put up the walls; where it can, walls that are down fail the test."""
     if host.isolation.level == "L1":
-        assert not walls_can_stand(), f"this machine has what the walls need, and yet: {host.isolation}"
+        assert not sandbox_is_possible(), f"this machine has what the walls need, and yet: {host.isolation}"
         pytest.skip(str(host.isolation))
 
 

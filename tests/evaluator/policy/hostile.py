@@ -1,7 +1,7 @@
 """Policies that try what a policy must not do, each in every way that its author could think of.
 
 Every one answers a valid action whose angle says how many of its tries succeeded: 0 is what is wanted. None is ever to
-be run outside the walls: what they try on the judge is harmless, but it is tried.
+be run outside the walls: what they try on the evaluator is harmless, but it is tried.
 """
 
 from __future__ import annotations
@@ -83,10 +83,10 @@ class InspectsJudge(Hostile):
     """Reads the memory, the environment and the open files of the process that started it."""
 
     def tries(self) -> Iterable[Callable[[], object]]:
-        judge = Path("/proc", str(os.getppid()))
+        evaluator = Path("/proc", str(os.getppid()))
         for name in ("mem", "environ", "maps", "cmdline", "fd/0", "stack", "auxv"):
-            yield lambda name=name: os.close(os.open(judge / name, os.O_RDONLY))
-        yield lambda: os.listdir(judge / "fd")
+            yield lambda name=name: os.close(os.open(evaluator / name, os.O_RDONLY))
+        yield lambda: os.listdir(evaluator / "fd")
         yield lambda: self.call("ptrace", 16, os.getppid(), 0, 0)
         buffer = ctypes.create_string_buffer(8)
         vector = (ctypes.c_size_t * 2)(ctypes.addressof(buffer), 8)
@@ -97,12 +97,12 @@ class SignalsJudge(Hostile):
     """Signals the process that started it, and lowers what that may use."""
 
     def tries(self) -> Iterable[Callable[[], object]]:
-        judge = os.getppid()
+        evaluator = os.getppid()
         for number in (0, signal.SIGCONT):
-            yield lambda number=number: os.kill(judge, number)
-            yield lambda number=number: os.killpg(os.getpgid(judge), number)
-        yield lambda: resource.prlimit(judge, resource.RLIMIT_CORE, (0, 0))
-        yield lambda: signal.pidfd_send_signal(os.pidfd_open(judge), 0)
+            yield lambda number=number: os.kill(evaluator, number)
+            yield lambda number=number: os.killpg(os.getpgid(evaluator), number)
+        yield lambda: resource.prlimit(evaluator, resource.RLIMIT_CORE, (0, 0))
+        yield lambda: signal.pidfd_send_signal(os.pidfd_open(evaluator), 0)
 
 
 class OpensSockets(Hostile):

@@ -14,7 +14,7 @@ from evaluator.policy import PolicyHost, PolicySpec
 from evaluator.policy.sandbox import allowlist
 from evaluator.policy.sandbox.allowlist import allowed_for
 from tests.evaluator.policy.batches import make_batch
-from tests.evaluator.policy.conftest import WritePolicy, skip_without_walls
+from tests.evaluator.policy.conftest import WritePolicy, skip_without_sandbox
 from tests.evaluator.policy.test_host_answers import LIMITS, reasons
 
 NAMES = st.sampled_from(["a", "b", "c", "d.py"])
@@ -111,6 +111,6 @@ def test_manifests_caches_and_runs_beside_the_policy(
     monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
     monkeypatch.setenv("REMA_HOME", str(tmp_path / "home"))
     with PolicyHost(reader, None, "cpu", LIMITS, tmp_path / "runs" / "now" / "policy.log") as host:
-        skip_without_walls(host)
+        skip_without_sandbox(host)
         assert reasons(host.act(make_batch(1))) == ["ok"]
     assert set(host.output.splitlines()) == {str(file) for file in hidden}

@@ -86,7 +86,7 @@ def test_one_raising_observation_is_charged_alone(write_policy: WritePolicy) -> 
 def test_a_policy_that_always_raises_is_asked_twice_about_everything(write_policy: WritePolicy, tmp_path: Path) -> None:
     calls = tmp_path / "calls"
     spec = write_policy(f"open({str(calls)!r}, 'a').write('x')\nraise KeyError('always')")
-    with PolicyHost(spec, None, "cpu", LIMITS, walls=False) as host:
+    with PolicyHost(spec, None, "cpu", LIMITS, confine=False) as host:
         for _ in range(6):
             assert reasons(host.act(make_batch(4))) == ["exception"] * 4
     assert len(calls.read_text()) == 6 * (1 + 4)
@@ -139,7 +139,7 @@ def test_a_policy_that_always_dies_is_bounded(write_policy: WritePolicy) -> None
 def test_a_policy_that_cannot_be_started_again(write_policy: WritePolicy, tmp_path: Path) -> None:
     flag = str(tmp_path / "flag")
     spec = write_policy("os._exit(1)", init=f"assert not os.path.exists({flag!r})\nopen({flag!r}, 'w')")
-    with PolicyHost(spec, None, "cpu", LIMITS, walls=False) as host:
+    with PolicyHost(spec, None, "cpu", LIMITS, confine=False) as host:
         assert reasons(host.act(make_batch(2))) == ["restart"] * 2
 
 
@@ -149,7 +149,7 @@ def test_a_process_that_it_started_does_not_outlive_it(write_policy: WritePolicy
         "time.sleep(60)",
         init=f"import subprocess as s; open({str(pid_file)!r}, 'a').write(str(s.Popen(['sleep', '300']).pid) + ' ')",
     )
-    with PolicyHost(spec, None, "cpu", IMPATIENT, walls=False) as host:
+    with PolicyHost(spec, None, "cpu", IMPATIENT, confine=False) as host:
         host.act(make_batch(1))
     deadline = time.monotonic() + 120
     for pid in pid_file.read_text().split():
@@ -163,14 +163,14 @@ def test_it_dies_with_the_judge(write_policy: WritePolicy, tmp_path: Path) -> No
     spec = write_policy("time.sleep(60)", init=f"open({str(pid_file)!r}, 'w').write(str(os.getpid()))")
     code = (
         "from evaluator.policy import PolicyHost, resolve\nimport time\n"
-        f"with PolicyHost(resolve({str(spec.path)!r}), None, walls=False): time.sleep(60)"
+        f"with PolicyHost(resolve({str(spec.path)!r}), None, confine=False): time.sleep(60)"
     )
-    judge = subprocess.Popen([sys.executable, "-c", code])
+    evaluator = subprocess.Popen([sys.executable, "-c", code])
     deadline = time.monotonic() + 120
     while not (pid_file.exists() and pid_file.read_text()) and time.monotonic() < deadline:
         time.sleep(0.02)
-    os.kill(judge.pid, signal.SIGKILL)
-    judge.wait()
+    os.kill(evaluator.pid, signal.SIGKILL)
+    evaluator.wait()
     pid = int(pid_file.read_text())
     while psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE:
         assert time.monotonic() < deadline
@@ -202,7 +202,9 @@ def test_prints_without_end_from_a_thread_while_it_answers(write_policy: WritePo
             assert reasons(host.act(make_batch(4))) == ["ok"] * 4
 
 
-@pytest.mark.parametrize("noise", ["b'hello judge' * 9", "bytes(4)", "b'\\x00\\x00\\x00\\x02{}'", "b'\\xff' * 70000"])
+@pytest.mark.parametrize(
+    "noise", ["b'hello evaluator' * 9", "bytes(4)", "b'\\x00\\x00\\x00\\x02{}'", "b'\\xff' * 70000"]
+)
 def test_writing_to_the_pipe_of_the_replies(write_policy: WritePolicy, noise: str) -> None:
     spec = write_policy(f"if n > 1: os.write(replies(), {noise})\nreturn good", top=REPLIES)
     with PolicyHost(spec, None, "cpu", LIMITS) as host:
@@ -231,7 +233,7 @@ def test_a_forged_extra_reply_is_not_taken_for_the_next_answer(write_policy: Wri
 @pytest.mark.parametrize(
     ("reference", "error", "words"),
     [
-        ("nobody", InputError, "random, scripted"),
+        ("nobody", InputError, r"an installed policy:\n  random .*\n  reference "),
         ("nothing.py", MissingFileError, r"nothing\.py does not exist"),
         ("nothing.py:not a class", InputError, "is not a class name"),
     ],

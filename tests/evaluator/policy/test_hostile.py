@@ -1,4 +1,4 @@
-"""Hostile policies end as counted failures or gain nothing; the judge lives on, and nothing of them stays."""
+"""Hostile policies end as counted failures or gain nothing; the evaluator lives on, and nothing of them stays."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from rema_data.errors import PolicyFailureError, SubmissionError
 from tests.evaluator.fakes import fake_backend, fake_config
 from tests.evaluator.policy import hostile
 from tests.evaluator.policy.batches import make_batch, make_situation
-from tests.evaluator.policy.conftest import skip_without_walls
+from tests.evaluator.policy.conftest import skip_without_sandbox
 from tests.evaluator.policy.test_host_answers import reasons
 
 PATIENT = PolicyLimits(start_s=60, batch_s=30, single_s=30)
@@ -54,7 +54,7 @@ def _nothing_stays(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest
 @pytest.fixture(scope="module")
 def _walls_stand() -> None:
     with PolicyHost(resolve("random"), None) as host:
-        skip_without_walls(host)
+        skip_without_sandbox(host)
 
 
 @pytest.mark.usefixtures("_walls_stand")
@@ -82,7 +82,7 @@ def test_what_is_denied(name: str, harmless: int, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["ReadsScenarios", "OpensSockets"])
 def test_without_walls_the_same_policies_succeed(name: str) -> None:
     """So what is denied above is denied by the walls."""
-    with PolicyHost(policy(name), None, "cpu", PATIENT, walls=False) as host:
+    with PolicyHost(policy(name), None, "cpu", PATIENT, confine=False) as host:
         assert host.isolation.level == "L1"
         assert min(successes(host.act(make_batch(1)))) > 1
 
@@ -157,7 +157,7 @@ def test_privilege_is_not_gained_by_a_restart(tmp_path: Path) -> None:
     notes = tmp_path / "notes"
     notes.write_text("")
     situation = make_situation()
-    with PolicyHost(policy("FlipsPrivilege"), notes, "cpu", PATIENT, walls=False) as host:
+    with PolicyHost(policy("FlipsPrivilege"), notes, "cpu", PATIENT, confine=False) as host:
         assert not host.privileged
         assert reasons(host.act(make_batch(1), (situation,))) == ["died"]
         (answer,) = host.act(make_batch(1), (situation,))

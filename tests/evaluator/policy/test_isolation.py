@@ -16,12 +16,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from evaluator.policy import PolicyHost, PolicyLimits, resolve
-from evaluator.policy.sandbox.isolation import KERNEL_WALLS, NAMESPACES, isolation_of
+from evaluator.policy.sandbox.isolation import KERNEL_RESTRICTIONS, NAMESPACES, isolation_of
 from evaluator.policy.sandbox.wrapper import check_sandbox, wrapped
 from rema_data.errors import InputError
 from rema_data.manifests import manifests_dir
 from tests.evaluator.policy.batches import make_batch
-from tests.evaluator.policy.conftest import WritePolicy, walls_can_stand
+from tests.evaluator.policy.conftest import WritePolicy, sandbox_is_possible
 from tests.evaluator.policy.test_host_answers import LIMITS, reasons
 
 IMPATIENT = PolicyLimits(start_s=30, batch_s=0.5)
@@ -38,17 +38,17 @@ NOTHING = {"bwrap": "bwrap --ro-bind / / true", "podman": "podman run --rm --net
 
 
 @given(
-    up=st.sets(st.sampled_from(KERNEL_WALLS)),
+    up=st.sets(st.sampled_from(KERNEL_RESTRICTIONS)),
     foreign=st.sets(st.sampled_from(NAMESPACES)),
     sandbox=st.sampled_from([None, "bwrap"]),
 )
 def test_the_level_is_the_lowest_that_all_its_walls_reach(up: set[str], foreign: set[str], sandbox: str | None) -> None:
-    walls = [[name, name in up, "so it is"] for name in KERNEL_WALLS]
+    walls = [[name, name in up, "so it is"] for name in KERNEL_RESTRICTIONS]
     namespaces = {
         kind: FOREIGN[kind] if kind in foreign else os.readlink(f"/proc/self/ns/{kind}") for kind in NAMESPACES
     }
-    found = isolation_of({"walls": walls, "namespaces": namespaces}, sandbox)
-    if up != set(KERNEL_WALLS):
+    found = isolation_of({"restrictions": walls, "namespaces": namespaces}, sandbox)
+    if up != set(KERNEL_RESTRICTIONS):
         assert found.level == "L1"
     else:
         assert found.level == ("L3" if sandbox and foreign == set(NAMESPACES) else "L2")
@@ -81,9 +81,9 @@ def test_without_a_library_its_walls_are_down_and_the_policy_runs(
 def test_walls_that_were_not_asked_for(write_policy: WritePolicy) -> None:
     with pytest.raises(InputError, match="not known before"):
         _ = PolicyHost(write_policy("return good"), None).isolation
-    with PolicyHost(write_policy("return good"), None, "cpu", LIMITS, walls=False) as host:
+    with PolicyHost(write_policy("return good"), None, "cpu", LIMITS, confine=False) as host:
         assert host.isolation.level == "L1"
-        assert set(host.isolation.to_dict()["down"]) == {*KERNEL_WALLS, "namespaces"}
+        assert set(host.isolation.to_dict()["down"]) == {*KERNEL_RESTRICTIONS, "namespaces"}
         assert {"process", "memory", "disk", "descriptors"} == set(host.isolation.to_dict()["up"])
 
 
@@ -91,7 +91,7 @@ def test_a_wrapper_that_wraps_nothing_earns_nothing() -> None:
     with PolicyHost(resolve("random"), None, "cpu", LIMITS, sandbox="env REMA_WRAPPED=1") as host:
         told = host.isolation.to_dict()
         assert told["level"] != "L3"
-        assert "shares with the judge" in told["down"]["namespaces"]
+        assert "shares with the evaluator" in told["down"]["namespaces"]
         assert told["sandbox"] == "env REMA_WRAPPED=1"
         assert reasons(host.act(make_batch(1))) == ["ok"]
 
@@ -113,7 +113,7 @@ def test_a_wrapper_with_namespaces_of_its_own(wrapper: str, write_policy: WriteP
     spec = write_policy(f"good[:, 2] = os.path.exists({lists!r}) + 2 * (os.getpid() > 100)\nreturn good")
     with PolicyHost(spec, None, "cpu", LIMITS, sandbox=wrapper) as host:
         told = host.isolation.to_dict()
-        assert told["level"] == ("L3" if walls_can_stand() else "L1")
+        assert told["level"] == ("L3" if sandbox_is_possible() else "L1")
         assert told["up"].get("namespaces") == "mnt, net, pid"
         answers = host.act(make_batch(1))
         assert all(isinstance(answer, int) and answer % 16 == 0 for answer in answers)
@@ -143,7 +143,7 @@ def test_a_policy_that_hangs_in_a_wrapper_ends_with_it(
 
 def test_a_wrapper_in_which_nothing_runs() -> None:
     with (
-        pytest.raises(InputError, match="no process of Python came up in --sandbox") as caught,
+        pytest.raises(InputError, match="Python did not start in --sandbox") as caught,
         PolicyHost(resolve("random"), None, "cpu", LIMITS, sandbox="ls /no-such-folder --"),
     ):
         pass
@@ -154,7 +154,7 @@ def test_a_wrapper_in_which_nothing_runs() -> None:
     ("command", "words"),
     [
         ("", "names no command"),
-        ("bwrap 'x", "is no command"),
+        ("bwrap 'x", "cannot be split into words"),
         ("env {secrets}", r"unknown place \{secrets\}"),
         ("no-such-wrapper --", "no program 'no-such-wrapper'"),
     ],

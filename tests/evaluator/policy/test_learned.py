@@ -14,7 +14,7 @@ import pytest
 
 from evaluator.policy import PolicyHost, PolicyLimits, resolve
 from evaluator.policy.conversion import convert
-from evaluator.policy.load_errors import Refusal, refusal_hint
+from evaluator.policy.load_errors import LoadFailure, load_hint
 from rema_data.errors import InputError, MissingFileError, SubmissionError
 from tests.evaluator.policy.batches import make_batch
 from tests.evaluator.policy.conftest import WritePolicy
@@ -136,8 +136,8 @@ def test_the_files_that_were_meant_are_named(
         Path(folder).mkdir()
         for name in files:
             Path(folder, name).write_bytes(b"")
-    refusal = Refusal("UnpicklingError: no", kinds=("_pickle.UnpicklingError",))
-    hint = refusal_hint(refusal, "my_policy.py", "", None, None if checkpoint is None else Path(checkpoint))
+    refusal = LoadFailure("UnpicklingError: no", kinds=("_pickle.UnpicklingError",))
+    hint = load_hint(refusal, "my_policy.py", "", None, None if checkpoint is None else Path(checkpoint))
     commands = [line for line in hint.splitlines() if line.startswith("python -m")]
     assert commands == [f"python -m evaluator.policy.conversion {name} --trust" for name in named]
 

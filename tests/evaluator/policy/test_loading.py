@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from evaluator.policy import BUILT_INS, PolicyHost, digest, resolve
+from evaluator.policy import PolicyHost, digest, policy_names, resolve
 from evaluator.policy.imports import own_modules
 from rema_data.errors import InputError, MissingFileError
 
@@ -24,7 +24,7 @@ def test_a_file_a_class_and_a_built_in(tmp_path: Path) -> None:
     assert (resolve(str(path)).name, resolve(str(path)).class_name) == ("my_policy", "Policy")
     other = resolve(f"{path}:Other")
     assert (other.name, other.class_name, other.path) == ("my_policy-Other", "Other", path.resolve())
-    for name in BUILT_INS:
+    for name in policy_names():
         assert resolve(name).path.is_file()
     (tmp_path / "random.py").write_text("")
     assert resolve(str(tmp_path / "random.py")).name == "random.py"
@@ -40,8 +40,11 @@ def test_the_suffix_is_suggested(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         resolve("mine")
 
 
-def test_built_ins_are_found_without_importing_them() -> None:
-    code = "import sys; from evaluator.policy import resolve; resolve('random'); sys.exit('baselines' in sys.modules)"
+def test_named_policies_are_found_without_importing_their_code() -> None:
+    code = (
+        "import sys; from evaluator.policy import resolve; resolve('tae')\n"
+        "sys.exit(bool({'torch', 'scipy', 'baselines.tae_policy'} & set(sys.modules)))"
+    )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

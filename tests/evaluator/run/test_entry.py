@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from evaluator.leaderboard.submission import make_entry
-from evaluator.policy.loading import BUILT_INS
+from evaluator.policy.named import policy_names
 from evaluator.run.entry import MAX_BYTES, Entry, encode, read_entry, read_scored, seal
 from evaluator.run.scored import Audit, Counts, FunnelStep, Marks, Outcomes, ScoredRun, read_run
 from rema_data.errors import InputError, IntegrityError, MissingFileError
@@ -201,7 +201,7 @@ def test_a_run_whose_table_was_edited_is_named(tmp_path: Path, monkeypatch: pyte
 
 
 def test_only_built_in_names_are_tagged_as_ours() -> None:
-    for name in BUILT_INS:
+    for name in policy_names():
         assert entry_of([True], [True], name).run.tag in ("random", "privileged", "learned")
     for name in ("joint", "random.py", "tae-joint.py", "my_policy"):
         assert entry_of([True], [True], name).run.tag == "submitted"

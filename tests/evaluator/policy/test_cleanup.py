@@ -1,4 +1,4 @@
-"""Nothing that a policy started outlives its judge, and no folder of its either."""
+"""Nothing that a policy started outlives its evaluator, and no folder of its either."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from evaluator.policy import PolicyHost
 from evaluator.policy.output import CappedOutput
 from evaluator.policy.process import ChildProcess
 from evaluator.policy.sandbox.cleanup import remove_folder
-from evaluator.policy.sandbox.launch_spec import Enclosure
+from evaluator.policy.sandbox.launch_spec import LaunchSpec
 from evaluator.policy.wire import frame_parts
 from tests.evaluator.policy.batches import make_batch
 from tests.evaluator.policy.conftest import WritePolicy
@@ -55,7 +55,7 @@ def wait_until(seconds: float, condition: object) -> bool:
 def test_a_family_that_strayed_ends_with_the_policy(write_policy: WritePolicy) -> None:
     mark = f"60{os.getpid()}"
     spec = write_policy(FAMILY, top=f"MARK = {mark!r}")
-    with PolicyHost(spec, None, walls=False) as host:
+    with PolicyHost(spec, None, confine=False) as host:
         host.act(make_batch(1))
         assert wait_until(5, lambda: len(sleepers(mark)) == 3)
     assert wait_until(2, lambda: not sleepers(mark))
@@ -71,13 +71,13 @@ def test_killed_judge_leaves_neither_processes_nor_folders(
     code = (
         "from evaluator.policy import PolicyHost, resolve\n"
         "from tests.evaluator.policy.batches import make_batch\n"
-        f"PolicyHost(resolve({str(spec.path)!r}), None, walls=False).__enter__().act(make_batch(1))"
+        f"PolicyHost(resolve({str(spec.path)!r}), None, confine=False).__enter__().act(make_batch(1))"
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
-    with subprocess.Popen([sys.executable, "-c", code], env=environment) as judge:
+    with subprocess.Popen([sys.executable, "-c", code], env=environment) as evaluator:
         assert wait_until(120, lambda: sleepers(mark))
         assert list((tmp_path / "tmp").glob("rema-policy-*"))
-        judge.kill()
+        evaluator.kill()
     assert wait_until(5, lambda: not sleepers(mark))
     assert wait_until(5, lambda: not list((tmp_path / "tmp").glob("rema-policy-*")))
 
@@ -122,12 +122,12 @@ def test_a_suspended_judge_charges_no_timeout(write_policy: WritePolicy, monkeyp
 
     output = CappedOutput(None, 1000, 1000)
     spec = write_policy("return good")
-    enclosure = Enclosure(spec.path)
-    child = ChildProcess(output, enclosure)
+    launch = LaunchSpec(spec.path)
+    child = ChildProcess(output, launch)
     order = {"op": "load", "path": str(spec.path), "class_name": "Policy"}
     monkeypatch.setattr(evaluator.policy.process.time, "monotonic", leaping)
     try:
-        child.ask(frame_parts(enclosure.orders(child.folder), {}), 50.0, 0)
+        child.ask(frame_parts(launch.orders(child.folder), {}), 50.0, 0)
         header, _ = child.ask(frame_parts({**order, "checkpoint": None, "device": "cpu"}, {}), 50.0, 0)
         assert header["ok"] is True
     finally:

@@ -1,0 +1,284 @@
+"""What ``from evaluator import ...`` offers, with plain arguments; the verbs of ``rema`` call the same functions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rema_data.errors import InputError
+
+if TYPE_CHECKING:
+    from evaluator.leaderboard import Board
+    from evaluator.leaderboard.comparison import Comparison
+    from evaluator.replay import ReplayReport
+    from evaluator.run.scored import ScoredRun
+    from evaluator.runner import EvaluationResult
+    from rema_data.progress import Progress
+
+__all__ = ["compare", "evaluate", "leaderboard", "read_run", "replay"]
+
+
+def evaluate(
+    policy: str | Path,
+    *,
+    task: str,
+    episodes: int = 10_000,
+    output: str | Path | None = None,
+    checkpoint: str | Path | None = None,
+    device: str = "cpu",
+    protocol: str = "conditional",
+    split: str = "test",
+    engine: str = "process",
+    workers: int | None = None,
+    address: str | None = None,
+    shard: str | None = None,
+    batch_size: int = 64,
+    sandbox: str | None = None,
+    quick: str | Path | None = None,
+    progress: Progress | None = None,
+) -> EvaluationResult:
+    """Score a policy on frozen scenarios, or resume a run that was stopped.
+
+    Parameters
+    ----------
+    policy : str or Path
+        ``my_policy.py``, ``my_policy.py:ClassName`` or the name of an installed policy.
+    task : str
+    episodes : int
+        The first so many scenarios of the list.
+    output : str or Path, optional
+        Run folder; ``runs/POLICY-TASK-PROTOCOL`` by default.
+    checkpoint : str or Path, optional
+        Weights, handed to the policy; an installed policy may bring its own.
+    device : str
+        Handed to the policy.
+    protocol : {"conditional", "end-to-end"}
+    split : {"test", "val"}
+    engine : str
+        Where the simulation runs: ``process``, ``inline``, ``ray`` or another installed engine.
+    workers : int, optional
+        Simulation processes; one a core by default.
+    address : str, optional
+        Of a Ray cluster.
+    shard : str, optional
+        ``"I/N"``: play this part of the scenarios only; ``rema merge`` merges the parts.
+    batch_size : int
+        Observations in one question to the policy.
+    sandbox : str, optional
+        Wrapper of the policy's process, such as bwrap: see docs/threat_model.md.
+    quick : str or Path, optional
+        A run folder: stop as soon as the policy is better or worse than that run. Such a run has no rank.
+    progress : Progress, optional
+
+    Returns
+    -------
+    EvaluationResult
+        ``folder`` and ``summary``, the content of its ``summary.json``.
+
+    Raises
+    ------
+    RemaError
+        As ``evaluator.runner.run_evaluation``: SubmissionError where the policy does not load, PolicyFailureError where
+        it fails on more than 10 % of the episodes, InputError for an argument that cannot be used.
+
+    Examples
+    --------
+    >>> from evaluator import evaluate
+    >>> result = evaluate("random", task="grasp", episodes=4, workers=1)
+    >>> result.summary["episodes"], str(result.folder)
+    (4, 'runs/random-grasp-conditional')
+    """
+    from evaluator.policy.loading import resolve, weights_of
+    from evaluator.runner import EvaluationConfig, run_evaluation
+    from evaluator.runner.shards import RunShard
+
+    spec = resolve(str(policy))
+    part = None if shard is None else RunShard.parse(shard)
+    name = f"{spec.name}-{task}-{protocol}" + ("" if split == "test" else f"-{split}")
+    if part is not None:
+        name += f"-shard-{part.number}-of-{part.count}"
+    config = EvaluationConfig(
+        policy=spec,
+        task=task,
+        output=Path("runs") / name if output is None else Path(output),
+        checkpoint=weights_of(spec, _path(checkpoint)),
+        device=device,
+        protocol=protocol,
+        split=split,
+        episodes=episodes,
+        engine=engine,
+        workers=workers,
+        batch_size=batch_size,
+        sandbox=sandbox,
+        address=address,
+        shard=part,
+    )
+    if quick is None:
+        return run_evaluation(config, progress)
+    if part is not None:
+        raise InputError("--quick plays the list in its order", hint="drop --quick or --shard")
+    from evaluator.runner.quick import quick_evaluation
+
+    return quick_evaluation(config, Path(quick), progress)
+
+
+def read_run(path: str | Path) -> ScoredRun:
+    """A finished run, from its folder or from its submission file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A run folder of ``evaluate``, or a file of ``rema submit``.
+
+    Raises
+    ------
+    MissingFileError, InputError, IntegrityError
+        It is not finished, not a run, or damaged.
+
+    Examples
+    --------
+    >>> from evaluator import evaluate, read_run
+    >>> run = read_run(evaluate("random", task="grasp", episodes=4, workers=1).folder)
+    >>> run.policy, run.tag, run.counts.episodes
+    ('random', 'random', 4)
+    """
+    from evaluator.run.entry import read_scored
+
+    return read_scored(Path(path))
+
+
+def compare(a: str | Path, b: str | Path) -> Comparison:
+    """Compare two runs scenario by scenario.
+
+    Parameters
+    ----------
+    a, b : str or Path
+        Run folders or submission files, of the same task, split, protocol and scenario list.
+
+    Returns
+    -------
+    Comparison
+        The 2x2 table, the difference with its 95 % interval, and where the two differ.
+
+    Raises
+    ------
+    InputError
+        The two do not compare.
+    MissingFileError, IntegrityError
+        As ``read_run``.
+
+    Examples
+    --------
+    >>> from evaluator import compare, evaluate
+    >>> run = evaluate("random", task="grasp", episodes=4, workers=1).folder
+    >>> compare(run, run).table.n
+    4
+    """
+    from evaluator.leaderboard.comparison import compare as compare_runs
+
+    return compare_runs(read_run(a), read_run(b))
+
+
+def leaderboard(runs: Sequence[str | Path] | None = None, *, entries: bool = True, published: bool = True) -> Board:
+    """Runs, submission files and published rates in one table.
+
+    Parameters
+    ----------
+    runs : sequence of str or Path, optional
+        Run folders and submission files; by default every run folder below ``runs/``.
+    entries : bool
+        Add the submissions that come with rema.
+    published : bool
+        Add the paper's rates.
+
+    Returns
+    -------
+    Board
+        ``rows``, ``remarks``, and why a source was left out (``refused``).
+
+    Raises
+    ------
+    MissingFileError, InputError, IntegrityError
+        No source can be read at all.
+
+    Examples
+    --------
+    >>> from evaluator import evaluate, leaderboard
+    >>> run = evaluate("random", task="grasp", episodes=4, workers=1).folder
+    >>> [row.policy for row in leaderboard([run], entries=False, published=False).rows]
+    ['random']
+    """
+    from evaluator.leaderboard.board import find_runs
+    from evaluator.leaderboard.board import leaderboard as make_board
+    from evaluator.run.entry import find_entries
+
+    sources = find_runs(Path("runs")) if runs is None else [Path(run) for run in runs]
+    return make_board([*sources, *(find_entries() if entries else ())], published)
+
+
+def replay(
+    run: str | Path,
+    *,
+    fraction: float = 1.0,
+    seed: int | None = None,
+    engine: str = "process",
+    workers: int | None = None,
+    address: str | None = None,
+    public_key: str | Path | None = None,
+    progress: Progress | None = None,
+) -> ReplayReport:
+    """Check a finished run: its seal, its statistics, and a share of its episodes by simulating them again.
+
+    Parameters
+    ----------
+    run : str or Path
+        Run folder; nothing in it is changed.
+    fraction : float
+        Share of the episodes that is simulated again, drawn at random.
+    seed : int, optional
+        Draw the episodes of an earlier replay.
+    engine, workers, address
+        As for ``evaluate``.
+    public_key : str or Path, optional
+        File of the Ed25519 key that must have signed the run.
+    progress : Progress, optional
+
+    Returns
+    -------
+    ReplayReport
+        ``ok``, and the findings.
+
+    Raises
+    ------
+    MissingFileError, InputError, IntegrityError
+        It is not a finished run, or an argument cannot be used.
+    RunMismatchError
+        The run was played on a scenario list that is not the one here.
+    InfrastructureError
+        Workers cannot be started.
+
+    Examples
+    --------
+    >>> from evaluator import evaluate, replay
+    >>> run = evaluate("random", task="grasp", episodes=4, workers=1).folder
+    >>> replay(run, workers=1).ok
+    True
+    """
+    from evaluator.replay.play import replay as play
+    from evaluator.run.signature import read_public_key
+
+    return play(
+        Path(run),
+        fraction=fraction,
+        seed=seed,
+        engine=engine,
+        workers=workers,
+        address=address,
+        public_key=None if public_key is None else read_public_key(Path(public_key)),
+        progress=progress,
+    )
+
+
+def _path(path: str | Path | None) -> Path | None:
+    return None if path is None else Path(path)

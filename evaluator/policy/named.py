@@ -1,0 +1,114 @@
+"""Policies that packages offer by name, through entry points in the group ``rema.policies``.
+
+An entry point names a ``NamedPolicy`` in a light module: it is imported to list and to find policies, and the policy's
+own code is not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from rema_data import plugins
+from rema_data.errors import InputError
+
+__all__ = [
+    "GROUP",
+    "KINDS",
+    "PRIVILEGED_KINDS",
+    "NamedPolicy",
+    "find_named",
+    "kind_of",
+    "is_reserved",
+    "listing",
+    "policy_names",
+]
+
+GROUP = "rema.policies"
+"""The entry points that name policies."""
+KINDS = ("learned", "heuristic", "privileged", "random", "reference")
+"""What a named policy may be; a policy without a name is ``submitted``."""
+PRIVILEGED_KINDS = ("privileged", "reference")
+"""Kinds that see the ground truth."""
+
+
+@dataclass(frozen=True, slots=True)
+class NamedPolicy:
+    """A policy that a package offers by name.
+
+    Attributes
+    ----------
+    file : Path
+        Its Python file, absolute. The file imports its own package by absolute imports.
+    class_name : str
+    kind : {"learned", "heuristic", "privileged", "random", "reference"}
+        Shown on the leaderboard. ``privileged`` sees the ground truth; ``reference`` does too, and prepares scenarios.
+    description : str
+        One line.
+    checkpoint : Path or None
+        Weights that its package carries, for a run that names none.
+    published : str
+        Row of the paper's Table 2 that this policy reimplements; empty for most.
+
+    Raises
+    ------
+    InputError
+        The kind is not one of these.
+    """
+
+    file: Path
+    class_name: str
+    kind: str
+    description: str
+    checkpoint: Path | None = None
+    published: str = ""
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise InputError(f"unknown kind of policy {self.kind!r}", hint=f"choose one of: {', '.join(KINDS)}")
+
+
+def policy_names() -> list[str]:
+    """Names of the installed policies, sorted."""
+    return list(plugins.installed(GROUP))
+
+
+def find_named(name: str) -> NamedPolicy | None:
+    """The policy of that name; None where none is installed.
+
+    Raises
+    ------
+    InputError
+        The package that offers it is broken.
+    """
+    point = plugins.installed(GROUP).get(name)
+    return None if point is None else plugins.load(point, NamedPolicy)
+
+
+def kind_of(name: str) -> str | None:
+    """Kind of the policy of that name; None where none is installed, or its package is broken."""
+    try:
+        named = find_named(name)
+    except InputError:
+        return None
+    return None if named is None else named.kind
+
+
+def is_reserved(name: str) -> bool:
+    """Whether a submitted policy may not be called so: an installed policy is, or a learned one's name begins it."""
+    return name in policy_names() or kind_of(name.partition("-")[0]) == "learned"
+
+
+def listing() -> str:
+    """The installed policies, a line each."""
+    names = policy_names()
+    width = max(map(len, names), default=0)
+    return "\n".join(f"  {name:{width}}  {_about(name)}" for name in names)
+
+
+def _about(name: str) -> str:
+    try:
+        named = find_named(name)
+    except InputError as error:
+        return f"broken: {error.message}"
+    return "" if named is None else f"{named.description} ({named.kind})"

@@ -1,0 +1,59 @@
+"""The Python API: its names, what it costs to import, and that its examples run."""
+
+from __future__ import annotations
+
+import doctest
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import evaluator
+import evaluator.api
+import evaluator.policy.check
+from evaluator.cli.evaluate import evaluate as command
+
+NAMES = ["check_policy", "compare", "evaluate", "leaderboard", "read_run", "replay"]
+
+
+def test_the_public_names() -> None:
+    assert sorted(evaluator.__all__) == NAMES
+    assert set(NAMES) <= set(dir(evaluator))
+    with pytest.raises(AttributeError, match="no attribute 'judge'"):
+        evaluator.judge  # noqa: B018
+
+
+def test_it_offers_what_the_command_offers() -> None:
+    arguments = set(inspect.signature(evaluator.evaluate).parameters) - {"progress"}
+    assert {parameter.name for parameter in command.params} - {"as_json"} == arguments
+
+
+def run(code: str) -> str:
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_importing_it_loads_nothing() -> None:
+    assert run("import sys, evaluator; print(*{'numpy', 'pyarrow', 'pybullet', 'torch'} & set(sys.modules))") == ""
+
+
+@pytest.mark.parametrize(
+    "first", ["", "import evaluator.replay.play, evaluator.leaderboard.board", "from evaluator import *"]
+)
+def test_the_names_are_functions_whatever_was_imported_before(first: str) -> None:
+    """``leaderboard`` and ``replay`` are packages too, which their functions must not hide."""
+    code = f"{first}\nimport evaluator\nprint(all(callable(getattr(evaluator, name)) for name in {NAMES}))\n"
+    code += "from evaluator import leaderboard\nprint(len(leaderboard([], entries=False).rows) > 0)\n"
+    code += "from evaluator.leaderboard import Board\nimport evaluator.replay.play as p\nprint(p.__name__)"
+    assert run(code).split() == ["True", "True", "evaluator.replay.play"]
+
+
+@pytest.mark.parametrize("module", [evaluator.api, evaluator.policy.check])
+def test_the_examples(module: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("REMA_HOME", str(tmp_path / "home"))
+    failed, tried = doctest.testmod(module)  # type: ignore[arg-type]
+    assert tried and not failed
