@@ -27,6 +27,7 @@ from rema_data import grid
 from rema_data.errors import InputError
 
 SCHEMA_VERSION = 1
+"""Of the stored tables: the newest ``since`` of a column in ``rema_data.store.columns``."""
 
 HEIGHT_STEP_M = 1e-4
 """Resolution of a stored height: maps are canonical multiples of 0.1 mm."""

@@ -20,6 +20,7 @@ from rema_data.errors import InputError, IntegrityError, RemaError
 from rema_data.heights import HEIGHT_ERROR_M, HEIGHT_OFFSET_M, MISSING
 from rema_data.release.fields import check_day, check_order, check_path, record
 from rema_data.schema import HEIGHT_STEP_M, SCHEMA_VERSION, TASK_NUMBERS, TASKS
+from rema_data.store.columns import check_version
 from rema_data.store.keys import BlockKey
 
 __all__ = ["FORMAT", "MANIFEST", "BlockEntry", "FileEntry", "Manifest", "Parent", "check_name", "parse_manifest"]
@@ -277,12 +278,7 @@ def parse_manifest(data: bytes, where: str, sha256: str | None = None, hint: str
         content = json.loads(data)
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             raise ValueError("it does not say that it is a rema release")
-        if content["schema_version"] != SCHEMA_VERSION:
-            raise InputError(
-                f"{where} has schema version {content.get('schema_version')!r}, this rema reads {SCHEMA_VERSION}",
-                hint="install the version of rema that the release belongs to: pip install --upgrade rema",
-                schema_version=content.get("schema_version"),
-            )
+        check_version(content["schema_version"], where)
         manifest = _checked(content)
         if manifest.to_bytes() != data:
             raise ValueError("it is not in canonical form, or its counts do not add up")
@@ -351,4 +347,12 @@ def _checked(content: dict[str, Any]) -> Manifest:
     sources = content["sources"]
     if not all(isinstance(part, str) for part in (*fingerprint, *fingerprint.values(), *sources)):
         raise ValueError("fingerprint and sources must be text")
-    return Manifest(**texts, blocks=blocks, files=files, fingerprint=fingerprint, parent=parent, sources=tuple(sources))
+    return Manifest(
+        **texts,
+        blocks=blocks,
+        files=files,
+        fingerprint=fingerprint,
+        parent=parent,
+        sources=tuple(sources),
+        schema_version=content["schema_version"],
+    )

@@ -29,7 +29,15 @@ from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS
 from rema_data.store.hints import Mend, ask_verify
 from rema_data.store.keys import SPLITS, BlockKey
 from rema_data.store.maps import MapsReader, MapsWriter
-from rema_data.store.tables import episode_row, episodes_table, read_table, step_row, steps_table, to_parquet
+from rema_data.store.tables import (
+    as_stored,
+    episode_row,
+    episodes_table,
+    read_table,
+    step_row,
+    steps_table,
+    to_parquet,
+)
 
 __all__ = ["EPISODES", "SPLITS", "STEPS", "BlockKey", "BlockReader", "BlockWriter", "EncodedMaps", "encode_episodes"]
 
@@ -138,8 +146,12 @@ class BlockWriter:
     def close(self) -> None:
         """Write the tables and what is left of the maps."""
         self._maps.close()
-        for name, tables in ((EPISODES, self._episodes), (STEPS, self._steps)):
-            write_atomic(self._folder / name, to_parquet(pa.concat_tables(tables).combine_chunks()))
+        for name, tables, columns in (
+            (EPISODES, self._episodes, EPISODE_COLUMNS),
+            (STEPS, self._steps, STEP_COLUMNS),
+        ):
+            whole = pa.concat_tables(tables).combine_chunks()
+            write_atomic(self._folder / name, to_parquet(as_stored(whole, columns)))
 
 
 def _replaced(table: pa.Table, name: str, values: Array) -> pa.Table:
