@@ -11,12 +11,13 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from rema_data.convert.base import ExportedFile, ExportOptions, ExportPlan, Progress
+from rema_data.convert.base import ExportedFile, ExportOptions, ExportPlan
 from rema_data.convert.hdf5_file import FORMAT, VERSION, NewFile, new_file, open_file, reading
 from rema_data.convert.layout import obs_of_end_effectors, obs_of_scenes, to_array, trajectory
 from rema_data.convert.pieces import Piece, read_pieces
 from rema_data.errors import RunMismatchError
 from rema_data.heights import HEIGHT_OFFSET_M
+from rema_data.progress import Progress
 from rema_data.release.manifest import BlockEntry
 from rema_data.schema import HEIGHT_STEP_M
 from rema_data.store.block import BlockReader
