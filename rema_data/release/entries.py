@@ -36,7 +36,7 @@ def check_holder(name: str) -> None:
 
 
 class StrictRecord:
-    """How pydantic reads the records of a manifest: plain dataclasses, so that a published one opens without pydantic."""
+    """How pydantic reads the records of a manifest. They are plain dataclasses, to be made without pydantic too."""
 
     __slots__ = ()
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid", "strict": True}
