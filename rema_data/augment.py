@@ -35,7 +35,7 @@ import torch
 from torch import Tensor
 
 from rema_data.errors import InputError
-from rema_data.grid import ANGLES, EE_PIXELS, PAIR_ANGLES, SCENE_PIXELS, VALID_MARGIN
+from rema_data.grid import ANGLES, EE_PIXELS, SCENE_PIXELS, VALID_MARGIN
 from rema_data.samplers.strata import column_of, table_of
 from rema_data.schema import Embodiment, Primitive, StepKind
 

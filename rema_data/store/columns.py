@@ -1,7 +1,8 @@
 """The columns of ``episodes.parquet`` and ``steps.parquet``: name, type, unit, frame and meaning, in one place.
 
-To add a column: append it here with ``since`` one above ``rema_data.schema.SCHEMA_VERSION``, and raise that number.
-Releases of earlier versions are read as before, with the column's default in every row.
+To add a column: a nullable field of ``rema_data.schema.Evidence``, or a line here, with ``since`` one above
+``rema_data.schema.SCHEMA_VERSION``; and raise that number. Releases of earlier versions are read as before, with the
+column's default in every row.
 """
 
 from __future__ import annotations
@@ -84,7 +85,15 @@ def _pinch() -> Iterator[Column]:
 
 
 _EVIDENCE_TYPES = {"str": "string", "float": "float64", "int": "int32"}
-_ARM, *_MEASURED = (Column(item.name, _EVIDENCE_TYPES[str(item.type)], **item.metadata) for item in fields(Evidence))
+
+
+def _evidence() -> Iterator[Column]:
+    for item in fields(Evidence):
+        kind, nullable, _ = str(item.type).partition(" | None")
+        yield Column(item.name, _EVIDENCE_TYPES[kind], nullable=bool(nullable), **item.metadata)
+
+
+_ARM, *_MEASURED = _evidence()
 
 _PLACE = (
     Column("task", "string", "task of the episode"),
