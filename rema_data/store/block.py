@@ -26,7 +26,7 @@ from rema_data.heights import encode_heights, pack_mask
 from rema_data.schema import Episode, Observation
 from rema_data.storage import write_atomic
 from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS
-from rema_data.store.hints import Mend, ask_verify
+from rema_data.store.hints import RepairHint, ask_verify
 from rema_data.store.keys import SPLITS, BlockKey
 from rema_data.store.maps import MapsReader, MapsWriter
 from rema_data.store.tables import (
@@ -166,22 +166,22 @@ class BlockReader:
     Parameters
     ----------
     folder : Path
-    mend : callable
+    repair_hint : callable
         Hint of an error about a path in it: what brings the file back.
     """
 
-    def __init__(self, folder: Path, mend: Mend = ask_verify) -> None:
+    def __init__(self, folder: Path, repair_hint: RepairHint = ask_verify) -> None:
         self.folder = folder
-        self.mend = mend
+        self.repair_hint = repair_hint
 
     def episodes(self) -> pa.Table:
         """Table of the episodes; see ``read_table`` for what it raises."""
-        return read_table(self.folder / EPISODES, EPISODE_COLUMNS, self.mend)
+        return read_table(self.folder / EPISODES, EPISODE_COLUMNS, self.repair_hint)
 
     def steps(self) -> pa.Table:
         """Table of the steps; see ``read_table`` for what it raises."""
-        return read_table(self.folder / STEPS, STEP_COLUMNS, self.mend)
+        return read_table(self.folder / STEPS, STEP_COLUMNS, self.repair_hint)
 
     def maps(self) -> MapsReader:
         """Reader of the maps."""
-        return MapsReader(self.folder, self.mend)
+        return MapsReader(self.folder, self.repair_hint)

@@ -29,7 +29,7 @@ from rema_data.schema import (
     skill,
 )
 from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, Column, arrow_schema, columns_at
-from rema_data.store.hints import Mend, ask_verify
+from rema_data.store.hints import RepairHint, ask_verify
 
 __all__ = [
     "as_stored",
@@ -196,8 +196,8 @@ def to_parquet(table: pa.Table) -> bytes:
     return buffer.getvalue()
 
 
-def read_table(path: Path, columns: tuple[Column, ...], mend: Mend = ask_verify) -> pa.Table:
-    """A table of a block, checked against its schema; ``mend`` gives the hint about a damaged or missing one.
+def read_table(path: Path, columns: tuple[Column, ...], repair_hint: RepairHint = ask_verify) -> pa.Table:
+    """A table of a block, checked against its schema; ``repair_hint`` gives the hint about a damaged or missing one.
 
     It has all ``columns``: those that are newer than the table hold their default. ``table_version`` still gives the
     version in which it is stored.
@@ -213,9 +213,9 @@ def read_table(path: Path, columns: tuple[Column, ...], mend: Mend = ask_verify)
         table = pq.read_table(path, page_checksum_verification=True)
         found = table.schema.names  # decoded here: damaged names are no text
     except FileNotFoundError:
-        raise MissingFileError(f"table {path} does not exist", hint=mend(path), path=str(path)) from None
+        raise MissingFileError(f"table {path} does not exist", hint=repair_hint(path), path=str(path)) from None
     except (pa.ArrowException, ValueError, OSError) as error:
-        raise IntegrityError(f"table {path} is damaged: {error}", hint=mend(path), path=str(path)) from error
+        raise IntegrityError(f"table {path} is damaged: {error}", hint=repair_hint(path), path=str(path)) from error
     for version in range(SCHEMA_VERSION, 0, -1):
         expected = arrow_schema(columns_at(columns, version), version)
         if found == expected.names and table.schema.types == expected.types:
