@@ -69,7 +69,7 @@ if sys.argv[2] == "1":
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 import filelock, pyarrow.compute
 import rema_data
-from rema_data.loader import cache, decode
+from rema_data.loader import build, decode
 from rema_data.store.maps import MapsReader
 spent = defaultdict(float)
 def timed(owner, name, what):
@@ -84,8 +84,8 @@ def timed(owner, name, what):
 timed(decode, "_check", "sha256 of the files")
 timed(MapsReader, "read", "reading and decompressing")
 timed(decode, "decode_heights", "fixed point to 0.1 mm")
-timed(cache._FileSink, "put", "writing")
-timed(cache, "_sync", "fsync")
+timed(build._FileSink, "put", "writing")
+timed(build, "_sync", "fsync")
 release = rema_data.load(sys.argv[1])
 began = time.perf_counter()
 opened = release.cache

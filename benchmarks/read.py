@@ -74,7 +74,8 @@ def draw(release: Release, steps: int) -> Samples:
 def balanced_order(samples: Samples, batch_size: int, count: int) -> list[Rows]:
     """Batches of sample numbers, ``count`` in all."""
     table = samples.quantised.table.iloc[samples.rows].reset_index(drop=True)
-    sampler = rema_data.BalancedSampler(table, batch_size, num_samples=count, seed=SEED, tail="pad")
+    whole = -(-count // batch_size) * batch_size
+    sampler = rema_data.BalancedSampler(table, batch_size, num_samples=whole, seed=SEED)
     return [np.asarray(batch, np.int64) for batch in sampler]
 
 

@@ -34,7 +34,6 @@ WANTED_PER_S = 1e6
 WANTED_CONSTRUCTION_S = 5.0
 VARIANTS: dict[str, dict[str, Any]] = {
     "exact, cycle (the default)": {},
-    "exact, with replacement": {"replacement": True},
     "average, cycle": {"mode": "average"},
 }
 TORCH = "torch WeightedRandomSampler"

@@ -28,14 +28,14 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from rema_data.errors import InputError
-from rema_data.grid import ANGLES, EE_PIXELS, PAIR_ANGLES, SCENE_PIXELS, VALID_MARGIN
+from rema_data.grid import ANGLES, EE_PIXELS, SCENE_PIXELS, VALID_MARGIN
 from rema_data.samplers.strata import column_of, table_of
 from rema_data.schema import Embodiment, Primitive, StepKind
 
@@ -56,7 +56,7 @@ class Symmetry(NamedTuple):
     Attributes
     ----------
     angles : int
-        Angles among which its yaw may be chosen anew; 0 where the step has a direction.
+        Angles among which a new yaw may be drawn; 0 where the step has a direction.
     pair : bool
         Whether a mirror image swaps two hands.
     """
@@ -71,7 +71,7 @@ def symmetry(primitive: str, embodiment: str) -> Symmetry:
     return Symmetry(0 if kind.primitive is Primitive.PUSH else kind.angles, kind.embodiment.two_arms)
 
 
-def translate(scene: Tensor, action: Tensor, random: Random, max_pixels: int | None = None) -> tuple[Tensor, Tensor]:
+def translate(scene: Tensor, action: Tensor, random: Random) -> tuple[Tensor, Tensor]:
     """Move every scene by whole pixels, and its label with it, to a uniformly drawn place of the valid square.
 
     Parameters
@@ -81,8 +81,6 @@ def translate(scene: Tensor, action: Tensor, random: Random, max_pixels: int | N
     action : int64 Tensor (N,)
         Grid index.
     random : torch.Generator or numpy.random.Generator
-    max_pixels : int, optional
-        Move at most so far along each axis; by default anywhere.
 
     Returns
     -------
@@ -96,12 +94,8 @@ def translate(scene: Tensor, action: Tensor, random: Random, max_pixels: int | N
     """
     _check(scene, action)
     i, j, k = _decode(action)
-    reach = SCENE_PIXELS if max_pixels is None else max_pixels
     chance = _uniform(random, 2 * len(action), action.device).view(2, -1)
-    moved = []
-    for place, share in zip((i, j), chance, strict=True):
-        low, high = (place - reach).clamp(_FIRST, _LAST), (place + reach).clamp(_FIRST, _LAST)
-        moved.append(low + (share * (high - low + 1)).long())
+    moved = _FIRST + (chance * (_LAST - _FIRST + 1)).long()
     rows, columns = (_axis(place - new, scene.device) for place, new in zip((i, j), moved, strict=True))
     return _sample(scene, rows[:, :, None], columns[:, None, :]), _encode(moved[0], moved[1], k)
 
@@ -129,10 +123,10 @@ def rotate(scene: Tensor, action: Tensor, random: Random, angles: int | Tensor =
     k = action % ANGLES
     allowed = torch.as_tensor(angles, device=action.device).expand_as(action)
     wanted = (_uniform(random, len(action), action.device) * allowed).long()
-    return _turned(scene, action, torch.where(allowed > 0, wanted - k, 0))
+    return turn(scene, action, torch.where(allowed > 0, wanted - k, 0))
 
 
-def turn(scene: Tensor, action: Tensor, turns: Tensor, pair: bool = False) -> tuple[Tensor, Tensor]:
+def turn(scene: Tensor, action: Tensor, turns: Tensor) -> tuple[Tensor, Tensor]:
     """Turn scenes, and labels with them, by sixteenths of a full turn (from +x to +y).
 
     The label's pixel turns about the middle of the map, to the nearest pixel inside the valid square, and the scene
@@ -145,22 +139,26 @@ def turn(scene: Tensor, action: Tensor, turns: Tensor, pair: bool = False) -> tu
         Pixels that come from outside of the map become 0.
     action : int64 Tensor (N,)
     turns : int64 Tensor (N,)
-    pair : bool
-        Whether two hands act as one.
 
     Raises
     ------
     InputError
-        The shapes do not fit, or a pair would leave the angles 0..7: a half turn makes another pair of it.
+        The shapes do not fit.
     """
     _check(scene, action)
-    angle = action % ANGLES + turns
-    if pair and bool(((angle < 0) | (angle >= PAIR_ANGLES)).any()):
-        raise InputError(
-            "a turn would take two hands out of the angles 0..7",
-            hint="turn to an angle from 0 to 7: a half turn swaps the hands, which hold different sticks",
-        )
-    return _turned(scene, action, turns)
+    i, j, k = _decode(action)
+    step = turns % ANGLES
+    cosine, sine = (
+        torch.tensor(table, dtype=torch.float32, device=action.device)[step] for table in (_COSINES, _SINES)
+    )
+    x, y = j - _CENTRE, i - _CENTRE
+    column = (cosine * x - sine * y + _CENTRE).round().long().clamp(_FIRST, _LAST)
+    row = (sine * x + cosine * y + _CENTRE).round().long().clamp(_FIRST, _LAST)
+    dy, dx = _axis(-row, scene.device)[:, :, None], _axis(-column, scene.device)[:, None, :]
+    cosine, sine = cosine[:, None, None], sine[:, None, None]
+    source_rows = (cosine * dy - sine * dx).round_() + i[:, None, None]
+    source_columns = (cosine * dx + sine * dy).round_() + j[:, None, None]
+    return _sample(scene, source_rows, source_columns), _encode(row, column, (k + turns) % ANGLES)
 
 
 def mirror(
@@ -211,20 +209,21 @@ def mirror(
 
 
 class Augment:
-    """What a training loop does to every batch: mirror, rotate, translate, each where it is valid.
+    """What a training loop does to every batch: mirrors pushes, rotates grasps and translates everything.
 
     Parameters
     ----------
     table : dataset or table
         With the columns ``primitive`` and ``embodiment``; a batch's ``index`` are its rows.
-    translate, rotate : bool
-    mirror : {"pushes", "all", "none"}
-        Which steps are mirrored, half of the time. Grasps may be, but have their rotations.
+    rotate : bool
+        Turn grasps.
+    mirror : bool
+        Mirror pushes, half of the time. Grasps have their rotations.
 
     Raises
     ------
     InputError
-        A column is missing, or ``mirror`` is none of these.
+        A column is missing.
 
     Examples
     --------
@@ -236,16 +235,7 @@ class Augment:
             batch = augment(batch.to("cuda"), random)
     """
 
-    def __init__(
-        self,
-        table: Any,
-        *,
-        translate: bool = True,
-        rotate: bool = True,
-        mirror: Literal["pushes", "all", "none"] = "pushes",
-    ) -> None:
-        if mirror not in ("pushes", "all", "none"):
-            raise InputError(f"mirror={mirror!r} is unknown", hint="use one of 'pushes', 'all', 'none'")
+    def __init__(self, table: Any, *, rotate: bool = True, mirror: bool = True) -> None:
         columns = table_of(table)
         kinds = [column_of(columns, name).astype("category").cat for name in ("primitive", "embodiment")]
         codes = [np.asarray(kind.codes, np.int64) for kind in kinds]
@@ -254,11 +244,9 @@ class Augment:
             np.array([[entry[field] for entry in row] for row in choices], np.int64)[codes[0], codes[1]]
             for field in range(2)
         )
-        reflected = {"pushes": angles == 0, "all": np.ones(len(angles), bool), "none": np.zeros(len(angles), bool)}
-        self._translate = translate
         self._rotates = rotate and bool((angles > 0).any())
-        self._mirrors = bool(reflected[mirror].any())
-        self._kinds = torch.from_numpy(np.stack([angles, pair, reflected[mirror]], axis=1).astype(np.int8))
+        self._mirrors = mirror and bool((angles == 0).any())
+        self._kinds = torch.from_numpy(np.stack([angles, pair], axis=1).astype(np.int8))
 
     def __call__(self, batch: Batch, random: Random) -> Batch:
         """A new batch; the one that is passed in does not change.
@@ -271,18 +259,17 @@ class Augment:
         """
         scene, action = batch.scene, batch.action
         self._kinds = self._kinds.to(batch.index.device)
-        angles, pair, reflected = self._kinds[batch.index].long().unbind(1)
+        angles, pair = self._kinds[batch.index].long().unbind(1)
         changed: dict[str, Tensor] = {}
         if self._mirrors:
             names = ["end_effector"] if hasattr(batch, "end_effector") else ["ee_depth", "ee_mask"]
-            chosen = (reflected > 0) & (_uniform(random, len(action), action.device) < 0.5)
+            chosen = (angles == 0) & (_uniform(random, len(action), action.device) < 0.5)
             maps = [getattr(batch, name) for name in names]
             scene, action, maps = mirror(scene, action, maps, pair > 0, chosen)
             changed.update(zip(names, maps, strict=True))
         if self._rotates:
             scene, action = rotate(scene, action, random, angles)
-        if self._translate:
-            scene, action = translate(scene, action, random)
+        scene, action = translate(scene, action, random)
         return dataclasses.replace(batch, scene=scene, action=action, **changed)
 
 
@@ -329,22 +316,6 @@ def _sample(scene: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
     source = (rows.clamp(0, last) * SCENE_PIXELS + columns.clamp(0, last)).long()
     pixels = scene.reshape(len(scene), -1).gather(1, source.reshape(len(scene), -1))
     return (pixels * inside.reshape(len(scene), -1).to(pixels.dtype)).view(scene.shape)
-
-
-def _turned(scene: Tensor, action: Tensor, turns: Tensor) -> tuple[Tensor, Tensor]:
-    i, j, k = _decode(action)
-    step = turns % ANGLES
-    cosine, sine = (
-        torch.tensor(table, dtype=torch.float32, device=action.device)[step] for table in (_COSINES, _SINES)
-    )
-    x, y = j - _CENTRE, i - _CENTRE
-    column = (cosine * x - sine * y + _CENTRE).round().long().clamp(_FIRST, _LAST)
-    row = (sine * x + cosine * y + _CENTRE).round().long().clamp(_FIRST, _LAST)
-    dy, dx = _axis(-row, scene.device)[:, :, None], _axis(-column, scene.device)[:, None, :]
-    cosine, sine = cosine[:, None, None], sine[:, None, None]
-    source_rows = (cosine * dy - sine * dx).round_() + i[:, None, None]
-    source_columns = (cosine * dx + sine * dy).round_() + j[:, None, None]
-    return _sample(scene, source_rows, source_columns), _encode(row, column, (k + turns) % ANGLES)
 
 
 def _replaced(planes: Tensor, rows: Tensor, change: Callable[[Tensor], Tensor]) -> Tensor:

@@ -53,7 +53,7 @@ def quantise(height_m: npt.ArrayLike) -> Heights:
         low, high = HEIGHT_OFFSET_M, _HIGHEST * HEIGHT_STEP_M + HEIGHT_OFFSET_M
         raise InputError(
             f"a height is not a number between {low:g} and {high:g} m",
-            hint="mend the map: heights are metres above the table",
+            hint="fix the map: heights are metres above the table",
         )
     return steps.astype(np.uint16)
 

@@ -27,6 +27,7 @@ from rema_data import grid
 from rema_data.errors import InputError
 
 SCHEMA_VERSION = 1
+"""Of the stored tables: the newest ``since`` of a column in ``rema_data.store.columns``."""
 
 HEIGHT_STEP_M = 1e-4
 """Resolution of a stored height: maps are canonical multiples of 0.1 mm."""
@@ -339,16 +340,17 @@ class Action:
         return float(x_m), float(y_m), float(yaw_rad)
 
 
-def _measured(default: Any, meaning: str, unit: str = "", frame: str = "") -> Any:
+def _measured(default: Any, meaning: str, unit: str = "", frame: str = "", since: int = 1) -> Any:
     """A field of Evidence, with what its column says of itself."""
-    return field(default=default, metadata={"meaning": meaning, "unit": unit, "frame": frame})
+    return field(default=default, metadata={"meaning": meaning, "unit": unit, "frame": frame, "since": since})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
     """What was measured in one step: each field is a column of every table of steps, and its meaning stands beside it.
 
-    A new field needs a default, so that outcomes that were stored without it can be read.
+    A new field is nullable (``float | None``) with the default ``None``, and names the schema version that adds it:
+    ``since``; raise ``SCHEMA_VERSION`` too. In the rows of earlier releases it is null.
     """
 
     arm: str = _measured("none", "left, right, both, or none where nothing had to be simulated")

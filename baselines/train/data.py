@@ -20,7 +20,7 @@ from rema_data.loader.batch import StepBatch
 from rema_data.loader.dataset import StepDataset
 from rema_data.loader.release import Release
 from rema_data.manifests import RESTORE, manifests_dir
-from rema_data.release.repair import Mending
+from rema_data.release.repair import RepairHints
 from rema_data.samplers import BalancedSampler
 from rema_data.verify.leakage import frozen_lists, read_frozen, scene_keys
 
@@ -159,7 +159,7 @@ def refuse_test_scenes(release: Release, tasks: tuple[str, ...]) -> None:
                 raise IntegrityError(
                     f"step {row} of {block.key.path} in {release.name} is the scenario {frozen[key]}: nothing that is "
                     "tested may be trained on",
-                    hint=f"do not use this release; look at all of it: {Mending(release.folder).verify}",
+                    hint=f"do not use this release; look at all of it: {RepairHints(release.folder).verify}",
                     scenario=frozen[key],
                 )
 

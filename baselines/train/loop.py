@@ -111,7 +111,7 @@ class _Training:
         self.device, self.report = device, report
         self.work = state_path(folder, name)
         self.data = open_data(release, config)
-        self.augment = Augment(self.data.train, rotate=config.rotate, mirror="pushes" if config.mirror else "none")
+        self.augment = Augment(self.data.train, rotate=config.rotate, mirror=config.mirror)
         self.network = TaeNetwork(config.architecture, torch.Generator().manual_seed(config.seed))
         self.network.placed(device).train()
         self.optimiser = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate, betas=_BETAS)

@@ -17,7 +17,12 @@ __all__ = ["export"]
 @click.command()
 @click.argument("release", required=False)
 @click.option(
-    "--format", "format_", default="hdf5", show_default=True, metavar="NAME", help="hdf5: robomimic's layout."
+    "--format",
+    "format_",
+    default="hdf5",
+    show_default=True,
+    metavar="NAME",
+    help="hdf5 is robomimic's layout; packages may add others.",
 )
 @click.option(
     "--output", "target", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder of the files."

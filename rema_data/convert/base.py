@@ -9,45 +9,14 @@ from pathlib import Path
 from typing import Literal, NamedTuple, Protocol
 
 from rema_data.convert.pieces import Piece
+from rema_data.progress import Progress
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import BlockEntry, Manifest
 from rema_data.store.block import BlockKey
 
-__all__ = [
-    "ExportOptions",
-    "ExportPlan",
-    "ExportedFile",
-    "Format",
-    "ImportedBlock",
-    "Maps",
-    "Progress",
-    "Silent",
-    "Source",
-]
+__all__ = ["ExportOptions", "ExportPlan", "ExportedFile", "Format", "ImportedBlock", "Maps", "Source"]
 
 Maps = Literal["metres", "quantised"]
-
-
-class Progress(Protocol):
-    """Where a conversion says how far it is."""
-
-    def phase(self, name: str, total: int) -> None:
-        """A phase begins that has ``total`` steps."""
-        ...
-
-    def advance(self, n: int) -> None:
-        """So many steps more are done."""
-        ...
-
-
-class Silent:
-    """Progress that nobody watches."""
-
-    def phase(self, name: str, total: int) -> None:
-        """Nothing."""
-
-    def advance(self, n: int) -> None:
-        """Nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +98,10 @@ class Source(Protocol):
 
 
 class Format(Protocol):
-    """A format that releases are written to and read from."""
+    """A format that releases are written to and read from.
+
+    ``rema_data.testing.formats.FormatContract`` tests what it must keep.
+    """
 
     def export(self, plan: ExportPlan, progress: Progress) -> list[ExportedFile]:
         """Write an export; each of its files appears whole or not at all.

@@ -26,9 +26,10 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 
-from rema_data.convert.base import ExportedFile, ExportPlan, Progress, Source
+from rema_data.convert.base import ExportedFile, ExportPlan, Source
 from rema_data.convert.hdf5_reader import expand, open_source
 from rema_data.convert.hdf5_writer import write_file
+from rema_data.progress import Progress
 
 __all__ = ["Hdf5"]
 

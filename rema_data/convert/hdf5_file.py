@@ -152,7 +152,7 @@ def reading(path: Path) -> Iterator[None]:
         raise
     except KeyError as error:
         raise damaged(path, f"a part of it is missing ({error.args[0]})") from error
-    except (OSError, RuntimeError, ValueError, TypeError) as error:
+    except (OSError, RuntimeError, ValueError, TypeError, AttributeError) as error:  # a damaged link reads as None
         raise damaged(path, f"it is truncated or damaged ({error})") from error
 
 

@@ -22,10 +22,9 @@ from rema_data.convert.pieces import PIECE_STEPS, Piece
 from rema_data.errors import InputError, MissingFileError
 from rema_data.grid import EE_PIXELS, SCENE_PIXELS
 from rema_data.release.manifest import Manifest, parse_manifest
-from rema_data.schema import SCHEMA_VERSION
 from rema_data.store.block import BlockKey, EncodedMaps
-from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, arrow_schema
-from rema_data.store.tables import episodes_table
+from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, arrow_schema, check_version, columns_at
+from rema_data.store.tables import complete, episodes_table
 
 __all__ = ["SUFFIXES", "expand", "open_source"]
 
@@ -120,6 +119,7 @@ class _File:
         self._changed: defaultdict[str, list[str]] = defaultdict(list)
         header = self._header()
         self._maps: Maps = header["maps"]
+        self._version: int = header["schema_version"]
         self.manifest = parse_manifest(root["rema/manifest"][()].tobytes(), f"inside {path}")
         group = root.get("rema/card", {})
         self.card = {str(group[name].attrs["path"]): group[name][()].tobytes() for name in group}
@@ -133,13 +133,13 @@ class _File:
                 hint="only exports of releases can be imported; collect new episodes with `rema collect`",
                 path=str(self.path),
             )
-        for name, known in (("format_version", VERSION), ("schema_version", SCHEMA_VERSION)):
-            if header.get(name) != known:
-                raise InputError(
-                    f"{self.path} has {name.replace('_', ' ')} {header.get(name)}, this rema reads {known}",
-                    hint="install the version of rema that wrote it: pip install --upgrade rema",
-                    path=str(self.path),
-                )
+        if header.get("format_version") != VERSION:
+            raise InputError(
+                f"{self.path} has format version {header.get('format_version')}, this rema reads {VERSION}",
+                hint="install the version of rema that wrote it: pip install --upgrade rema",
+                path=str(self.path),
+            )
+        check_version(header.get("schema_version"), str(self.path))
         if header.get("maps") not in ("metres", "quantised"):
             raise damaged(self.path, f"its maps are {header.get('maps')}, which is not known")
         return header
@@ -155,6 +155,8 @@ class _File:
             key = BlockKey(row["round"], row["task"], row["split"])
             if f"rema/{key.path}" not in self._root:
                 raise self._contradiction(name, f"says that it belongs to {key.path}, which is not in the file")
+            version = self._version_of(key)
+            row.update((item.name, item.default) for item in EPISODE_COLUMNS if item.since > version)
             found.setdefault(key, []).append((name, row))
         for demos in found.values():
             demos.sort(key=lambda item: item[1]["episode"])
@@ -170,7 +172,7 @@ class _File:
         for column in EPISODE_COLUMNS:
             value = attributes.get(column.name)
             if value is None:
-                if not column.nullable:
+                if not column.nullable and column.since == 1:
                     raise self._contradiction(name, f"has no attribute {column.name}")
             elif column.type == "string":
                 if not isinstance(value, str):
@@ -184,13 +186,18 @@ class _File:
             raise self._contradiction(name, f"has {attributes.get('num_samples')} samples, and {row['steps']} steps")
         return row
 
+    def _version_of(self, key: BlockKey) -> int:
+        """Schema version of a block: that of the release, unless it comes from an earlier one."""
+        version = self._root[f"rema/{key.path}"].attrs.get("schema_version", self._version)
+        return check_version(version, f"{self.path}, {key.path}")
+
     def _contradiction(self, name: str, why: str) -> Exception:
         return damaged(self.path, f"data/{name} {why}")
 
     def pieces(self, key: BlockKey) -> Iterator[Piece]:
         """Pieces of a block."""
         with reading(self.path):
-            columns = _Columns(self._root[f"rema/{key.path}"])
+            columns = _Columns(self._root[f"rema/{key.path}"], self._version_of(key))
         waiting: list[tuple[str, Row]] = []
         steps = 0
         for item in self.demos[key]:
@@ -224,7 +231,7 @@ class _File:
             local += count
         ee_row = np.arange(local, dtype=np.int32)
         maps = EncodedMaps(np.concatenate(scenes), ee_row, np.concatenate(depths), np.concatenate(masks))
-        return Piece(episodes_table(rows), columns.table.take(np.concatenate(chosen)), maps)
+        return Piece(episodes_table(rows, columns.version), columns.table.take(np.concatenate(chosen)), maps)
 
     def _obs(self, demo: h5py.Group, name: str, kind: str, count: int) -> Array:
         dataset = demo[f"obs/{kind}"]
@@ -254,9 +261,11 @@ class _File:
 class _Columns:
     """The columns of a block's steps, and what follows from them."""
 
-    def __init__(self, group: h5py.Group) -> None:
-        arrays = [from_array(group[column.name][()], column) for column in STEP_COLUMNS]
-        self.table = pa.Table.from_arrays(arrays, schema=arrow_schema(STEP_COLUMNS))
+    def __init__(self, group: h5py.Group, version: int) -> None:
+        self.version = version
+        known = columns_at(STEP_COLUMNS, version)
+        arrays = [from_array(group[column.name][()], column) for column in known]
+        self.table = complete(pa.Table.from_arrays(arrays, schema=arrow_schema(known, version)), STEP_COLUMNS)
         self.trajectory = trajectory(self.table)
         self._episode, self._step = (self.table[name].to_numpy() for name in ("episode", "step"))
 

@@ -11,16 +11,18 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from rema_data.convert.base import ExportedFile, ExportOptions, ExportPlan, Progress
+from rema_data.convert.base import ExportedFile, ExportOptions, ExportPlan
 from rema_data.convert.hdf5_file import FORMAT, VERSION, NewFile, new_file, open_file, reading
 from rema_data.convert.layout import obs_of_end_effectors, obs_of_scenes, to_array, trajectory
 from rema_data.convert.pieces import Piece, read_pieces
 from rema_data.errors import RunMismatchError
 from rema_data.heights import HEIGHT_OFFSET_M
+from rema_data.progress import Progress
 from rema_data.release.manifest import BlockEntry
-from rema_data.schema import HEIGHT_STEP_M, SCHEMA_VERSION
+from rema_data.schema import HEIGHT_STEP_M
 from rema_data.store.block import BlockReader
-from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS
+from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, columns_at
+from rema_data.store.tables import as_stored, table_version
 
 __all__ = ["write_file"]
 
@@ -61,7 +63,7 @@ def _identity(plan: ExportPlan, blocks: Sequence[BlockEntry]) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "format_version": VERSION,
-        "schema_version": SCHEMA_VERSION,
+        "schema_version": manifest.schema_version,
         "release": manifest.name,
         "release_sha256": manifest.sha256,
         "blocks": " ".join(block.key.path for block in blocks),
@@ -93,7 +95,7 @@ class _Writer:
             _write_bytes(card, str(number), plan.release.file(file).read_bytes()).attrs["path"] = file.path
         for block in blocks:
             reader = plan.release.block(block)
-            _write_columns(_group(rema, block.key.path), reader)
+            _write_columns(_group(rema, block.key.path), reader, plan.release.manifest.schema_version)
             first_step = 0
             for piece in read_pieces(reader):
                 self._write_piece(piece, first_step)
@@ -113,7 +115,7 @@ class _Writer:
         scenes = obs_of_scenes(maps.scene, options.maps)
         end_effectors = obs_of_end_effectors(maps.ee_depth, maps.ee_mask, options.maps)
         arrays = trajectory(piece.steps)
-        for row in piece.episodes.to_pylist():
+        for row in as_stored(piece.episodes, EPISODE_COLUMNS).to_pylist():
             rows = slice(row["first_step"], row["first_step"] + row["steps"])
             row["first_step"] += first_step
             demo = self._new_demo(row)
@@ -135,7 +137,7 @@ class _Writer:
         demo = h5py.Group(h5py.h5g.create(self._data.id, name.encode(), gcpl=properties))
         demo.attrs["num_samples"] = row["steps"]
         for column in EPISODE_COLUMNS:
-            value = row[column.name]
+            value = row.get(column.name)
             if value is not None:
                 demo.attrs[column.name] = value if column.type == "string" else np.dtype(column.type).type(value)
         names = [row["split"], f"round_{row['round']}", f"round_{row['round']}_{row['split']}"]
@@ -158,9 +160,12 @@ def _write_obs(demo: h5py.Group, group: str, name: str, obs: Array) -> None:
     _group(demo, group).create_dataset(name, data=obs, chunks=chunks, compression="gzip", compression_opts=_GZIP_LEVEL)
 
 
-def _write_columns(group: h5py.Group, reader: BlockReader) -> None:
+def _write_columns(group: h5py.Group, reader: BlockReader, usual_version: int) -> None:
     steps = reader.steps()
-    for column in STEP_COLUMNS:
+    version = min(table_version(steps), table_version(reader.episodes()))
+    if version != usual_version:  # a block of an earlier release
+        group.attrs["schema_version"] = version
+    for column in columns_at(STEP_COLUMNS, version):
         array = to_array(steps[column.name], column)
         packed = {"compression": "gzip", "shuffle": True} if len(array) else {}
         dataset = group.create_dataset(column.name, data=array, **packed)

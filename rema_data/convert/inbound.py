@@ -8,9 +8,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rema_data.convert.base import Progress, Silent, Source
+from rema_data.convert.base import Format, Source
 from rema_data.convert.formats import find_format
 from rema_data.errors import InputError, RunMismatchError
+from rema_data.progress import Progress, Silent
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, Manifest, check_name
 from rema_data.release.registry import published
@@ -55,7 +56,7 @@ def import_release(
     sources: Sequence[Path],
     root: Path,
     name: str | None = None,
-    format: str = "hdf5",
+    format: str | Format = "hdf5",
     *,
     progress: Progress | None = None,
 ) -> Imported:
@@ -69,8 +70,8 @@ def import_release(
         Folder of releases; the new one is ``root / name``.
     name : str, optional
         By default that of the release that was exported.
-    format : str
-        Name of a format.
+    format : str or Format
+        By default robomimic's HDF5; the name of an installed format, or the format itself.
     progress : Progress, optional
 
     Raises
@@ -87,7 +88,7 @@ def import_release(
         The disk is full or may not be written.
     """
     progress = progress or Silent()
-    reader = find_format(format)
+    reader = find_format(format) if isinstance(format, str) else format
     if name is not None:
         check_name(name)
     with reader.read(sources) as source, storage_errors(root):
@@ -113,7 +114,7 @@ def import_release(
                 if not missing:
                     release = _restore(source.manifest, staging, root)
                     return Imported(release, source.manifest, (), tuple(source.notes()))
-                differences = [f"{path}: not part of the export, written anew" for path in missing]
+                differences = [f"{path}: not part of the export, written again" for path in missing]
             if name in {entry.name for entry in published()}:
                 raise RunMismatchError(
                     f"{name} is a published release, and this is another one: {differences[0]}",

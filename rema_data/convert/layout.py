@@ -56,7 +56,7 @@ def obs_of_end_effectors(depth: Array, mask: Array, maps: Maps) -> Array:
 def _stored_heights(obs: Array) -> Array:
     stored = np.ascontiguousarray(obs if obs.dtype == np.uint16 else quantise(obs))
     if stored.size and stored.max() > _HIGHEST:
-        raise InputError("a height is missing, or above what a reader accepts (3.26 m)", hint="mend the map")
+        raise InputError("a height is missing, or above what a reader accepts (3.26 m)", hint="fix the map")
     return stored
 
 
@@ -82,7 +82,7 @@ def stored_end_effectors(obs: Array) -> tuple[Array, Array]:
     masks = np.moveaxis(obs[..., 1::2], -1, 1)
     allowed = masks == 1
     if not (allowed | (masks == 0)).all():
-        raise InputError("a mask holds values other than 0 and 1", hint="mend the map")
+        raise InputError("a mask holds values other than 0 and 1", hint="fix the map")
     return _stored_heights(np.moveaxis(obs[..., 0::2], -1, 1)), pack_mask(allowed)
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from rema_data.convert.base import ExportedFile, ExportOptions, ExportPlan, Progress, Silent
+from rema_data.convert.base import ExportedFile, ExportOptions, ExportPlan, Format
 from rema_data.convert.formats import find_format
+from rema_data.progress import Progress, Silent
 from rema_data.release.folder import ReleaseFolder
 
 __all__ = ["export_release"]
@@ -15,7 +16,7 @@ __all__ = ["export_release"]
 def export_release(
     release: ReleaseFolder,
     target: Path,
-    format: str = "hdf5",
+    format: str | Format = "hdf5",
     options: ExportOptions | None = None,
     *,
     tasks: Iterable[str] | None = None,
@@ -34,8 +35,8 @@ def export_release(
         From ``rema_data.release.folder.find_release``.
     target : Path
         Folder of the files; created where it is missing.
-    format : str
-        Name of a format.
+    format : str or Format
+        By default robomimic's HDF5; the name of an installed format, or the format itself.
     options : ExportOptions, optional
     tasks, rounds, split
         Which blocks; all by default.
@@ -54,7 +55,7 @@ def export_release(
     StorageError
         The disk is full or may not be written.
     """
-    writer = find_format(format)
+    writer = find_format(format) if isinstance(format, str) else format
     blocks = release.manifest.select(tasks, rounds, split)
     release.require(blocks)
     plan = ExportPlan(release, blocks, target, options or ExportOptions())

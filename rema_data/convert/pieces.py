@@ -58,7 +58,7 @@ def read_pieces(reader: BlockReader, piece_steps: int = PIECE_STEPS) -> Iterator
     ):
         raise IntegrityError(
             f"the tables and maps of {reader.folder} contradict each other",
-            hint=reader.mend(reader.folder),
+            hint=reader.repair_hint(reader.folder),
             path=str(reader.folder),
         )
     start = 0

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import torch
 from torch import Tensor
-from torch.utils.data._utils.collate import default_collate_fn_map
+from torch.utils.data import default_collate
 
 from rema_data.loader.convert import to_metres
 
@@ -121,4 +122,5 @@ def _collate(batch: Any, *, collate_fn_map: Mapping[Any, Any] | None = None) -> 
     return type(batch[0])(*map(torch.cat, zip(*(part.tensors for part in batch), strict=True)))
 
 
-default_collate_fn_map.update({StepBatch: _collate, FloatBatch: _collate})
+# The extension point that torch documents for `default_collate`; the map lies in the module of that function.
+sys.modules[default_collate.__module__].default_collate_fn_map.update({StepBatch: _collate, FloatBatch: _collate})

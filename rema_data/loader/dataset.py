@@ -158,7 +158,7 @@ class StepDataset(Dataset[StepBatch | FloatBatch]):
         if given.ndim != 1:
             raise InputError(
                 f"positions of shape {given.shape} are not one batch",
-                hint="hand a sampler of batches over as batch_sampler=sampler, or its rows as sampler=sampler.flat()",
+                hint="hand a sampler of batches over as batch_sampler=sampler",
             )
         try:
             return self.rows.position.take(given.astype(np.int64, copy=False))

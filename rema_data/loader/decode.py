@@ -15,17 +15,16 @@ from rema_data.errors import IntegrityError, MissingFileError
 from rema_data.grid import EE_PIXELS, SCENE_PIXELS
 from rema_data.heights import decode_heights
 from rema_data.loader.index import Categories, Index, encode_steps
-from rema_data.release.repair import Mending
+from rema_data.progress import Progress, Silent
+from rema_data.release.repair import RepairHints
 
 if TYPE_CHECKING:
     from rema_data.release.folder import ReleaseFolder
     from rema_data.release.manifest import BlockEntry, FileEntry
 
-__all__ = ["MAP_ARRAYS", "Progress", "Sink", "decode_blocks", "map_rows", "row_bytes"]
+__all__ = ["MAP_ARRAYS", "Sink", "decode_blocks", "map_rows", "row_bytes"]
 
 Array = npt.NDArray[Any]
-Progress = Callable[[int, int], None]
-"""Called with the number of bytes decoded so far, and of all."""
 
 MAP_ARRAYS: dict[str, tuple[str, tuple[int, ...]]] = {
     "scene": ("<i2", (SCENE_PIXELS, SCENE_PIXELS)),
@@ -92,7 +91,8 @@ def decode_blocks(
     sink : Sink
     jobs : int
         Threads.
-    progress : callable, optional
+    progress : Progress, optional
+        Told the bytes that are decoded.
 
     Returns
     -------
@@ -114,11 +114,10 @@ def decode_blocks(
         list(pool.map(lambda file: _check(release, file), files))
         index, categories = _read_index(release, blocks)
         pieces = list(_pieces(release, blocks))
-        done, total = 0, sum(piece.bytes for piece in pieces)
+        progress = progress or Silent()
+        progress.phase(f"decode {release.manifest.name}", sum(piece.bytes for piece in pieces))
         for future in as_completed([pool.submit(piece.decode, sink) for piece in pieces]):
-            done += future.result()
-            if progress is not None:
-                progress(done, total)
+            progress.advance(future.result())
     finally:
         pool.shutdown(cancel_futures=True)
     return index, categories
@@ -130,11 +129,13 @@ def _check(release: ReleaseFolder, entry: FileEntry) -> None:
         with path.open("rb") as file:
             got = hashlib.file_digest(file, "sha256").hexdigest()
     except FileNotFoundError:
-        raise MissingFileError(f"file {path} does not exist", hint=Mending(release).at(path), path=str(path)) from None
+        raise MissingFileError(
+            f"file {path} does not exist", hint=RepairHints(release).at(path), path=str(path)
+        ) from None
     if got != entry.sha256:
         raise IntegrityError(
             f"file {path} is not the one that was sealed: its sha256 is {got}, the manifest says {entry.sha256}",
-            hint=Mending(release).at(path),
+            hint=RepairHints(release).at(path),
             path=str(path),
             expected=entry.sha256,
             got=got,
@@ -174,6 +175,6 @@ def _contradiction(release: ReleaseFolder, block: BlockEntry, what: str) -> Inte
     folder = release.block(block).folder
     return IntegrityError(
         f"block {folder} contradicts itself: {what}",
-        hint=f"find all damage: {Mending(release).verify}",
+        hint=f"find all damage: {RepairHints(release).verify}",
         path=str(folder),
     )

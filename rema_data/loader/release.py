@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from rema_data.errors import InputError
-from rema_data.loader.cache import DecodedCache, decode_to_memory, open_cache
-from rema_data.loader.decode import Progress
+from rema_data.loader.build import decode_to_memory, open_cache
+from rema_data.loader.cache import DecodedCache
+from rema_data.progress import Progress
 from rema_data.release.folder import ReleaseFolder, find_release
 from rema_data.release.manifest import BlockEntry, Manifest
 
@@ -37,7 +38,7 @@ class Release:
     ----------
     folder : ReleaseFolder
     cache : path or "memory", optional
-    progress : callable, optional
+    progress : rema_data.progress.Progress, optional
         As in ``load``.
     """
 
@@ -220,8 +221,8 @@ def load(
     cache : path or "memory", optional
         Folder of decoded caches, by default ``REMA_HOME/decoded``; or "memory", to decode into the memory of this
         process.
-    progress : callable, optional
-        Called as ``progress(done, total)`` in bytes while the release is decoded.
+    progress : rema_data.progress.Progress, optional
+        Told the bytes that are decoded.
 
     Raises
     ------

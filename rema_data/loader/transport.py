@@ -32,7 +32,7 @@ def pack(batch: Batch) -> tuple[Any, tuple[Any, ...]]:
         begin = -(-end // _ALIGN) * _ALIGN
         end = begin + tensor.numel() * tensor.element_size()
         places.append((tensor.dtype, tuple(tensor.shape), begin, end))
-    block = torch.empty(0, dtype=torch.uint8).set_(torch.UntypedStorage._new_shared(end))  # type: ignore[no-untyped-call]
+    block = torch.empty(end, dtype=torch.uint8).share_memory_()  # type: ignore[no-untyped-call]
     for tensor, part in zip(batch.tensors, _views(block, places), strict=True):
         part.copy_(tensor)
     return unpack, (type(batch), block, places)

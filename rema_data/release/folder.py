@@ -53,7 +53,7 @@ class ReleaseFolder:
         """Reader of a block."""
         from rema_data.store.block import BlockReader
 
-        return BlockReader(self.root / entry.holder / entry.key.path, self._mend)
+        return BlockReader(self.root / entry.holder / entry.key.path, self._repair_hint)
 
     def blocks(self) -> tuple[BlockEntry, ...]:
         """The blocks that are here whole."""
@@ -72,19 +72,19 @@ class ReleaseFolder:
         here = {block.key for block in self.blocks()}
         missing = [block.key for block in wanted if block.key not in here]
         if missing:
-            from rema_data.release.repair import Mending
+            from rema_data.release.repair import RepairHints
 
             raise MissingFileError(
                 f"{len(missing)} blocks of {self.manifest.name} are not on this machine, the first one "
                 f"{missing[0].path}",
-                hint=Mending(self).blocks(missing),
+                hint=RepairHints(self).blocks(missing),
                 missing=missing,
             )
 
-    def _mend(self, path: Path) -> str:
-        from rema_data.release.repair import Mending
+    def _repair_hint(self, path: Path) -> str:
+        from rema_data.release.repair import RepairHints
 
-        return Mending(self).at(path)
+        return RepairHints(self).at(path)
 
 
 def downloads_folder() -> Path:
@@ -153,9 +153,9 @@ def _parse_beside_data(path: Path) -> Manifest:
     try:
         return parse_manifest(path.read_bytes(), str(path))
     except IntegrityError as error:
-        from rema_data.release.repair import mend_manifest
+        from rema_data.release.repair import manifest_repair
 
-        error.hint = mend_manifest(path)
+        error.hint = manifest_repair(path)
         raise
 
 

@@ -9,20 +9,38 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from datetime import date
 from functools import cached_property
 from typing import Any
 
 from rema_data.errors import InputError, IntegrityError, RemaError
 from rema_data.heights import HEIGHT_ERROR_M, HEIGHT_OFFSET_M, MISSING
-from rema_data.release.fields import check_day, check_order, check_path, record
-from rema_data.schema import HEIGHT_STEP_M, SCHEMA_VERSION, TASK_NUMBERS, TASKS
+from rema_data.release.entries import (
+    BlockEntry,
+    FileEntry,
+    Parent,
+    StrictRecord,
+    block_order,
+    check_holder,
+    check_name,
+)
+from rema_data.schema import HEIGHT_STEP_M, SCHEMA_VERSION, TASKS
+from rema_data.store.columns import check_version
 from rema_data.store.keys import BlockKey
 
-__all__ = ["FORMAT", "MANIFEST", "BlockEntry", "FileEntry", "Manifest", "Parent", "check_name", "parse_manifest"]
+__all__ = [
+    "FORMAT",
+    "MANIFEST",
+    "BlockEntry",
+    "FileEntry",
+    "Manifest",
+    "Parent",
+    "check_name",
+    "parse_manifest",
+]
 
 FORMAT = "rema release"
 MANIFEST = "manifest.json"
@@ -35,86 +53,9 @@ ENCODING: dict[str, float] = {
 }
 """How heights are stored; a reader of this schema version knows no other way."""
 
-_NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
-_SHA = re.compile(r"[0-9a-f]{64}")
-
-
-@dataclass(frozen=True, slots=True)
-class FileEntry:
-    """One file of a release.
-
-    Attributes
-    ----------
-    path : str
-        Inside the folder of its holder, with forward slashes.
-    bytes : int
-    sha256 : str
-    holder : str
-        Name of the release in whose folder the file lies.
-    """
-
-    path: str
-    bytes: int
-    sha256: str
-    holder: str
-
-    @property
-    def location(self) -> str:
-        """Path below a folder of releases, and below a mirror's URL."""
-        return f"{self.holder}/{self.path}"
-
-    @property
-    def block(self) -> str | None:
-        """Path of the block that the file belongs to, or None for one of the whole release."""
-        parts = self.path.split("/")
-        return "/".join(parts[:3]) if parts[0].startswith("round-") and len(parts) > 3 else None
-
-
-@dataclass(frozen=True, slots=True)
-class BlockEntry:
-    """What a block holds.
-
-    Attributes
-    ----------
-    round : int
-    task, split : str
-    episodes, steps : int
-    end_effectors : int
-        Different end-effector maps.
-    positives : int
-        Episodes that succeeded.
-    policies : tuple of str
-        Behaviour policy of every step of the task, in order.
-    holder : str
-        Release in whose folder the block lies.
-    """
-
-    round: int
-    task: str
-    split: str
-    episodes: int
-    steps: int
-    end_effectors: int
-    positives: int
-    policies: tuple[str, ...]
-    holder: str
-
-    @property
-    def key(self) -> BlockKey:
-        """Which block it is."""
-        return BlockKey(self.round, self.task, self.split)
-
-
-@dataclass(frozen=True, slots=True)
-class Parent:
-    """The release that this one continues."""
-
-    name: str
-    sha256: str
-
 
 @dataclass(frozen=True)
-class Manifest:
+class Manifest(StrictRecord):
     """A release, whole.
 
     Attributes
@@ -234,17 +175,6 @@ def _names(tasks: Iterable[str]) -> tuple[str, ...]:
     return (tasks,) if isinstance(tasks, str) else tuple(tasks)
 
 
-def check_name(name: str) -> str:
-    """``name`` itself, or an InputError where it cannot name a release (and so a folder)."""
-    if not _NAME.fullmatch(name) or ".." in name:
-        raise InputError(
-            f"{name!r} cannot name a release",
-            hint="use lower-case letters, digits, dots, dashes and underscores, such as rema-mini",
-            name=name,
-        )
-    return name
-
-
 def parse_manifest(data: bytes, where: str, sha256: str | None = None, hint: str = "") -> Manifest:
     """A manifest from its bytes.
 
@@ -254,7 +184,8 @@ def parse_manifest(data: bytes, where: str, sha256: str | None = None, hint: str
     where : str
         File or URL, for messages.
     sha256 : str, optional
-        What the bytes must hash to.
+        What the bytes must hash to: the identity of a release that was checked when it was sealed. Without it, every
+        field is checked here.
     hint : str
         The command that brings the right bytes back, where the caller knows it.
 
@@ -265,90 +196,84 @@ def parse_manifest(data: bytes, where: str, sha256: str | None = None, hint: str
     InputError
         The schema version is not one that this version of rema can read.
     """
+    hint = hint or f"copy {where} again from where it came from"
     got = hashlib.sha256(data).hexdigest()
     if sha256 is not None and got != sha256:
         raise IntegrityError(
-            f"manifest {where} has sha256 {got}, expected {sha256}",
-            hint=hint or _again(where),
-            expected=sha256,
-            got=got,
+            f"manifest {where} has sha256 {got}, expected {sha256}", hint=hint, expected=sha256, got=got
         )
+    unusable = f"manifest {where} cannot be used"
     try:
         content = json.loads(data)
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             raise ValueError("it does not say that it is a rema release")
-        if content["schema_version"] != SCHEMA_VERSION:
-            raise InputError(
-                f"{where} has schema version {content.get('schema_version')!r}, this rema reads {SCHEMA_VERSION}",
-                hint="install the version of rema that the release belongs to: pip install --upgrade rema",
-                schema_version=content.get("schema_version"),
-            )
-        manifest = _checked(content)
+        if "schema_version" not in content:
+            raise ValueError("schema_version is missing")
+        check_version(content["schema_version"], where)
+        names = {item.name for item in dataclasses.fields(Manifest)}
+        fields = {name: value for name, value in content.items() if name in names}
+        if sha256 is not None:
+            return _trusted(fields)
+        json.dumps(content, ensure_ascii=False).encode()  # refuses text that is not Unicode
+        from rema_data.validation import validated
+
+        manifest = validated(Manifest, fields, unusable, hint=hint, error=IntegrityError)
+        _check(manifest)
+        if content.get("heights") != ENCODING:
+            raise ValueError(f"heights are stored in an unknown way: {content.get('heights')}")
         if manifest.to_bytes() != data:
             raise ValueError("it is not in canonical form, or its counts do not add up")
-    except RemaError as error:
-        if isinstance(error, InputError) and "schema_version" in error.facts:
-            raise
-        raise _broken(where, error.message, hint) from error
-    except KeyError as error:
-        raise _broken(where, f"the field {error.args[0]} is missing", hint) from error
-    except (ValueError, TypeError, AttributeError, RecursionError) as error:
-        raise _broken(where, str(error), hint) from error
-    return manifest
+        return manifest
+    except RemaError:
+        raise
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise IntegrityError(f"{unusable}: {error}", hint=hint, where=where) from error
 
 
-def _again(where: str) -> str:
-    return f"copy {where} again from where it came from"
+def _trusted(fields: dict[str, Any]) -> Manifest:
+    """A manifest from JSON that was checked when it was sealed."""
+    made = {
+        "blocks": tuple(BlockEntry(**row | {"policies": tuple(row["policies"])}) for row in fields["blocks"]),
+        "files": tuple(FileEntry(**row) for row in fields["files"]),
+        "parent": None if fields["parent"] is None else Parent(**fields["parent"]),
+        "sources": tuple(fields["sources"]),
+    }
+    return Manifest(**fields | made)
 
 
-def _broken(where: str, why: str, hint: str) -> IntegrityError:
-    return IntegrityError(f"manifest {where} cannot be used: {why}", hint=hint or _again(where), where=where)
-
-
-def _checked(content: dict[str, Any]) -> Manifest:
-    """A manifest from JSON, or a ValueError, KeyError or TypeError that says what is wrong."""
-    blocks = tuple(record(BlockEntry, row) for row in content["blocks"])
-    files = tuple(record(FileEntry, row) for row in content["files"])
-    parent = None if content["parent"] is None else record(Parent, content["parent"])
-    texts = {name: content[name] for name in ("name", "title", "description", "license", "citation", "plan_sha256")}
-    for name, text in texts.items():
-        if not isinstance(text, str):
-            raise ValueError(f"{name} is {text!r}")
-    check_name(texts["name"])
-    texts["published"] = content.get("published", "")
-    check_day(texts["published"])
-    for name in {file.holder for file in files} | {block.holder for block in blocks}:
-        check_name(name)
-    if parent is not None:
-        check_name(parent.name)
-        if not _SHA.fullmatch(parent.sha256):
-            raise ValueError(f"the parent {parent.name} has the sha256 {parent.sha256!r}")
-    for file in files:
-        check_path(file.path)
-        if not _SHA.fullmatch(file.sha256):
-            raise ValueError(f"{file.path} has the sha256 {file.sha256!r}")
-    repeated = [name for name, times in Counter(file.location for file in files).items() if times > 1]
-    if repeated:
-        raise ValueError(f"{repeated[0]} is listed twice")
-    holders = {block.key.path: block.holder for block in blocks}
-    if len(holders) != len(blocks):
-        raise ValueError("a block is listed twice")
-    for block in blocks:
-        BlockKey.parse(block.key.path)
+def _check(manifest: Manifest) -> None:
+    """Raise ValueError where the parts of a manifest contradict each other."""
+    check_holder(manifest.name)
+    if manifest.published and not _is_day(manifest.published):
+        raise ValueError(f"published is {manifest.published!r}, not a day such as 2026-01-31")
+    for block in manifest.blocks:
+        try:
+            BlockKey.parse(block.key.path)
+        except InputError as error:
+            raise ValueError(error.message) from error
         if len(block.policies) != len(TASKS[block.task]):
             raise ValueError(f"{block.key.path} does not name a policy for each step of {block.task}")
-    for file in files:
-        holder = texts["name"] if file.block is None else holders.get(file.block)
-        if file.holder != holder:
+    for name, items in (
+        ("a block", [block.key.path for block in manifest.blocks]),
+        ("a file", [file.location for file in manifest.files]),
+    ):
+        repeated = [item for item, times in Counter(items).items() if times > 1]
+        if repeated:
+            raise ValueError(f"{name} is listed twice: {repeated[0]}")
+    holders = {block.key.path: block.holder for block in manifest.blocks}
+    for file in manifest.files:
+        if file.holder != (manifest.name if file.block is None else holders.get(file.block)):
             raise ValueError(f"{file.path} does not lie where its block does")
-    if {file.block for file in files} - {None} != set(holders):
+    if {file.block for file in manifest.files} - {None} != set(holders):
         raise ValueError("a block has no files")
-    check_order("blocks", [(block.round, TASK_NUMBERS[block.task], block.split) for block in blocks])
-    check_order("files", [file.location for file in files])
-    if content["heights"] != ENCODING:
-        raise ValueError(f"heights are stored in an unknown way: {content['heights']}")
-    fingerprint = content["fingerprint"]
-    sources = content["sources"]
-    if not all(isinstance(part, str) for part in (*fingerprint, *fingerprint.values(), *sources)):
-        raise ValueError("fingerprint and sources must be text")
-    return Manifest(**texts, blocks=blocks, files=files, fingerprint=fingerprint, parent=parent, sources=tuple(sources))
+    if sorted(manifest.blocks, key=block_order) != list(manifest.blocks):
+        raise ValueError("the blocks are not in their order")
+    if sorted(manifest.files, key=lambda file: file.location) != list(manifest.files):
+        raise ValueError("the files are not in their order")
+
+
+def _is_day(text: str) -> bool:
+    try:
+        return date.fromisoformat(text).isoformat() == text
+    except ValueError:
+        return False

@@ -1,4 +1,4 @@
-"""The command that brings damaged or missing files of a release back: one rule for all who find them."""
+"""The command that brings damaged or missing files of a release back: in one place."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rema_data.release.manifest import MANIFEST
 from rema_data.release.registry import published
 from rema_data.store.keys import BlockKey
 
-__all__ = ["Mending", "is_download", "mend_manifest"]
+__all__ = ["RepairHints", "is_download", "manifest_repair"]
 
 _AGAIN = "copy it again from where the release came from, or collect the release again: rema collect PLAN"
 _REINSTALL = "pip install --force-reinstall rema"
@@ -24,7 +24,7 @@ def is_download(release: ReleaseFolder) -> bool:
     return _is_downloads(release.root)
 
 
-class Mending:
+class RepairHints:
     """How the files of a release come back, which depends on where they lie and whether the release is published.
 
     Parameters
@@ -87,7 +87,7 @@ class Mending:
             location = path.relative_to(self._release.root).as_posix()
         except ValueError:
             return f"find all damage: {self.verify}"
-        return f"mend it: {self.file(location)}\nfind all damage: {self.verify}"
+        return f"to fix it: {self.file(location)}\nfind all damage: {self.verify}"
 
     def _published_instead(self, options: str = "") -> str:
         command = f"rema download {self._release.manifest.name}{options}{self._source}"
@@ -103,7 +103,7 @@ class Mending:
         return " --source URL"
 
 
-def mend_manifest(path: Path) -> str:
+def manifest_repair(path: Path) -> str:
     """The command that brings back a manifest that lies beside the data and cannot be read.
 
     Parameters
@@ -114,7 +114,7 @@ def mend_manifest(path: Path) -> str:
     root, name = path.resolve().parents[1], path.resolve().parent.name
     known = name in {entry.name for entry in published()}
     if known and _is_downloads(root):
-        # Without its manifest a download is taken up where it is; and the name may lead to a copy elsewhere.
+        # Without its manifest a download goes on where it stopped; and the name may lead to a copy elsewhere.
         return f"rm {shlex.quote(str(path))}, and go on with its download: rema download {name}"
     command = _from_known_place(root, (f"{name}/{MANIFEST}",), known)
     return command or f"copy {path} again from where the release came from"

@@ -17,9 +17,10 @@ import pyarrow.compute as pc
 
 from rema_data.errors import InputError, RunMismatchError
 from rema_data.release.card import write_card
+from rema_data.release.entries import BlockEntry, FileEntry, Parent, block_order, check_name
 from rema_data.release.folder import ReleaseFolder
-from rema_data.release.manifest import MANIFEST, BlockEntry, FileEntry, Manifest, Parent, check_name, parse_manifest
-from rema_data.schema import TASK_NUMBERS, TASKS
+from rema_data.release.manifest import MANIFEST, Manifest, parse_manifest
+from rema_data.schema import TASKS
 from rema_data.storage import storage_errors, sync_folder, write_atomic
 from rema_data.store.block import BlockKey, BlockReader
 
@@ -123,9 +124,9 @@ def seal(
     old = {} if parent is None else {block.key: block for block in parent.blocks}
     twice = [key for key, times in Counter((*keys, *reused)).items() if times > 1]
     if twice or any(key not in old for key in reused):
-        raise InputError("a block is listed twice, or is not in the parent release", hint="mend the plan's rounds")
+        raise InputError("a block is listed twice, or is not in the parent release", hint="fix the plan's rounds")
     blocks = [old[key] for key in reused] + [describe_block(staging / key.path, key, about.name) for key in keys]
-    blocks.sort(key=lambda block: (block.round, TASK_NUMBERS[block.task], block.split))
+    blocks.sort(key=block_order)
     kept = {block.key.path for block in blocks if block.key in set(reused)}
     shared = [] if parent is None else [file for file in parent.files if file.block in kept]
     draft = Manifest(
@@ -139,7 +140,7 @@ def seal(
     write_card(staging, draft)
     manifest = replace(draft, files=tuple(_sorted(_entries(staging, about.name) + shared)))
     data = manifest.to_bytes()
-    parse_manifest(data, str(target / MANIFEST), manifest.sha256)
+    parse_manifest(data, str(target / MANIFEST))
     write_atomic(staging / MANIFEST, data)
     with storage_errors(target):
         _settle(staging)

@@ -23,12 +23,12 @@ def rank_and_world(rank: int | None, world_size: int | None) -> tuple[int, int]:
         Only one of them is given, or the rank is outside of the world.
     """
     if rank is None and world_size is None:
-        distributed = sys.modules.get("torch.distributed")  # whoever uses it has imported it
+        distributed = sys.modules.get("torch.distributed")  # a process that uses it has imported it
         if distributed is not None and distributed.is_available() and distributed.is_initialized():
             return distributed.get_rank(), distributed.get_world_size()
         return 0, 1
     if rank is None or world_size is None:
-        raise InputError("rank and world_size belong together", hint="give both, or none")
+        raise InputError("rank and world_size belong together", hint="give both, or neither")
     world_size = whole("world_size", world_size, 1)
     if whole("rank", rank, 0) >= world_size:
         raise InputError(f"rank {rank} is outside of a world of {world_size}", hint="ranks count from 0")
@@ -36,7 +36,7 @@ def rank_and_world(rank: int | None, world_size: int | None) -> tuple[int, int]:
 
 
 def whole(name: str, value: Any, least: int) -> int:
-    """A whole number from ``least`` up; raises InputError where it is none."""
+    """A whole number from ``least`` up; raises InputError where it is not one."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise InputError(
             f"{name}={value!r} is not a whole number from {least} up", hint=f"give {name} as such a number"
@@ -45,7 +45,7 @@ def whole(name: str, value: Any, least: int) -> int:
 
 
 def one_of(name: str, value: Any, choices: Sequence[Any]) -> None:
-    """Raise InputError where a value is none of the choices."""
+    """Raise InputError where a value is not one of the choices."""
     if not any(value is choice or (isinstance(choice, str) and value == choice) for choice in choices):
         raise InputError(f"{name}={value!r} is unknown", hint=f"use one of {', '.join(map(repr, choices))}")
 
@@ -58,6 +58,6 @@ def refuse_mixed_splits(table: Any) -> None:
     if len(splits) > 1:
         raise InputError(
             f"the table mixes the splits {', '.join(splits)}: what is learned from cannot be validated on",
-            hint='select one, for example release.steps(split="train"), or pass across_splits=True',
+            hint='select one, for example release.steps(split="train")',
             splits=tuple(splits),
         )

@@ -1,6 +1,6 @@
 """Which strata make up a batch: exact counts in every batch, or a lottery that is right on average.
 
-A plan numbers batches and draws over the whole training, so that any position can be reached at once.
+A plan numbers batches over the whole training, so that any position can be reached at once.
 """
 
 from __future__ import annotations
@@ -12,11 +12,10 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from rema_data.samplers.epochs import EpochShape
 from rema_data.samplers.row_order import Key, bits, unit_interval
 from rema_data.samplers.shares import Shares, as_fractions
 
-__all__ = ["Anchor", "ExactPlan", "LotteryPlan", "Plan", "Quotas"]
+__all__ = ["Anchor", "BatchPlan", "ExactPlan", "LotteryPlan"]
 
 Counts = npt.NDArray[np.int64]
 """Draws of every stratum, int64 (strata,)."""
@@ -28,27 +27,27 @@ REPLAY = 2**18
 """Draws of a lottery that are replayed at a time."""
 
 
-class Plan(Protocol):
-    """What a sampler asks about the strata of its batches."""
+class BatchPlan(Protocol):
+    """What a sampler asks about the strata of its global batches, counted since the start of training."""
 
     shares: Shares
-    """What it realises."""
+    """Of the strata, as the plan realises them."""
 
-    def labels(self, epoch: int, first: int, stop: int) -> npt.NDArray[np.int16]:
-        """Stratum of every draw in batches ``first`` to ``stop`` of one size; int (batches, draws)."""
+    def labels(self, first: int, stop: int) -> npt.NDArray[np.int16]:
+        """Stratum of every draw in batches ``first`` to ``stop``; int (batches, draws)."""
 
-    def before(self, epoch: int, batch: int) -> Counts:
-        """Draws of every stratum since the start of training, before a batch of an epoch."""
+    def before(self, batch: int) -> Counts:
+        """Draws of every stratum before a batch."""
 
-    def anchor(self, epoch: int, batch: int) -> Anchor | None:
+    def anchor(self, batch: int) -> Anchor | None:
         """What makes ``before`` quick at or after this position; None where it always is."""
 
-    def restore(self, anchor: Anchor, drawn: int) -> None:
-        """Use the anchor of a state after so many draws; raises ValueError where it cannot be one."""
+    def restore(self, anchor: Anchor, batch: int) -> None:
+        """Use the anchor of a state at this batch; raises ValueError where it cannot be one."""
 
 
-class Quotas:
-    """Counts of the strata in batches of one size: within one of their share, in every batch and over time.
+class ExactPlan:
+    """Every batch has its counts: within one of the shares, in every batch and over time.
 
     A stratum with the share p gets the whole part of p times the batch in every batch; the draws that are left go to
     the strata that would first fall a whole draw behind. Counts repeat after ``period`` batches.
@@ -85,64 +84,23 @@ class Quotas:
         total: Counts = np.cumsum(counts, axis=0)
         return total
 
+    def labels(self, first: int, stop: int) -> npt.NDArray[np.int16]:
+        """See ``BatchPlan``; sorted in every batch."""
+        places = np.arange(first, stop) % self.period
+        counts = self._before[places + 1] - self._before[places]
+        strata = np.tile(np.arange(counts.shape[1], dtype=np.int16), len(counts))
+        return np.repeat(strata, counts.ravel()).reshape(len(counts), -1)
+
     def before(self, batch: int) -> Counts:
-        """Draws of every stratum before a batch, counted from the first."""
+        """See ``BatchPlan``."""
         periods, place = divmod(batch, self.period)
         result: Counts = periods * self._draws + self._before[place]
         return result
 
-    def counts(self, first: int, stop: int) -> Counts:
-        """Draws of every stratum in each of some batches, int64 (batches, strata)."""
-        places = np.arange(first, stop) % self.period
-        result: Counts = self._before[places + 1] - self._before[places]
-        return result
-
-
-class ExactPlan:
-    """Every batch has its quotas.
-
-    Parameters
-    ----------
-    shares : float64 (strata,)
-    shape : EpochShape
-    alike : bool
-        Whether every epoch has the same counts; else fractions of a draw are carried over.
-    """
-
-    def __init__(self, shares: Shares, shape: EpochShape, alike: bool = False) -> None:
-        self._shape = shape
-        self._whole = Quotas(shares, shape.batch)
-        self._rest = Quotas(shares, shape.rest) if shape.rest else None
-        self._alike = alike
-        self.shares = self._whole.shares
-
-    def _numbers(self, epoch: int, batch: int) -> tuple[int, int]:
-        """Whole and shorter batches that come before a batch, since the start of training or of an alike epoch."""
-        epoch = 0 if self._alike else epoch
-        shape = self._shape
-        return epoch * shape.whole + min(batch, shape.whole), epoch * (shape.rest > 0) + (batch > shape.whole)
-
-    def labels(self, epoch: int, first: int, stop: int) -> npt.NDArray[np.int16]:
-        """See ``Plan``; sorted in every batch."""
-        whole, rest = self._numbers(epoch, first)
-        if first < self._shape.whole:
-            counts = self._whole.counts(whole, whole + stop - first)
-        else:
-            assert self._rest is not None
-            counts = self._rest.counts(rest, rest + 1)
-        strata = np.tile(np.arange(counts.shape[1], dtype=np.int16), len(counts))
-        return np.repeat(strata, counts.ravel()).reshape(len(counts), -1)
-
-    def before(self, epoch: int, batch: int) -> Counts:
-        """See ``Plan``; from the start of the epoch where all are alike."""
-        whole, rest = self._numbers(epoch, batch)
-        counts = self._whole.before(whole)
-        return counts if self._rest is None else counts + self._rest.before(rest)
-
-    def anchor(self, epoch: int, batch: int) -> None:
+    def anchor(self, batch: int) -> None:
         """None: any position is quick."""
 
-    def restore(self, anchor: Anchor, drawn: int) -> None:
+    def restore(self, anchor: Anchor, batch: int) -> None:
         """Nothing to do."""
 
 
@@ -152,13 +110,14 @@ class LotteryPlan:
     Parameters
     ----------
     shares : float64 (strata,)
-    shape : EpochShape
+    batch : int
+        Draws in a batch.
     key : Key
     """
 
-    def __init__(self, shares: Shares, shape: EpochShape, key: Key) -> None:
+    def __init__(self, shares: Shares, batch: int, key: Key) -> None:
         self.shares = shares
-        self._shape = shape
+        self._batch = batch
         self._key = key
         self._edges = np.cumsum(shares)[:-1]
         self._anchors: list[Anchor] = [(0, [0] * len(shares))]
@@ -167,15 +126,14 @@ class LotteryPlan:
         chance = unit_interval(bits(self._key, first, count))
         return np.searchsorted(self._edges, chance, side="right").astype(np.int16)
 
-    def labels(self, epoch: int, first: int, stop: int) -> npt.NDArray[np.int16]:
-        """See ``Plan``."""
-        start, end = self._shape.drawn(epoch, first), self._shape.drawn(epoch, stop)
-        return self._picks(start, end - start).reshape(stop - first, -1)
+    def labels(self, first: int, stop: int) -> npt.NDArray[np.int16]:
+        """See ``BatchPlan``."""
+        return self._picks(first * self._batch, (stop - first) * self._batch).reshape(stop - first, -1)
 
-    def before(self, epoch: int, batch: int) -> Counts:
-        """See ``Plan``. Draws since the last known position are replayed."""
-        drawn = self._shape.drawn(epoch, batch)
-        start, known = self.anchor(epoch, batch)
+    def before(self, batch: int) -> Counts:
+        """See ``BatchPlan``. Draws since the last known position are replayed."""
+        drawn = batch * self._batch
+        start, known = self.anchor(batch)
         counts = np.array(known, np.int64)
         while start < drawn:
             step = min(drawn - start, REPLAY)
@@ -184,16 +142,16 @@ class LotteryPlan:
         self._keep((drawn, counts.tolist()))
         return counts
 
-    def anchor(self, epoch: int, batch: int) -> Anchor:
-        """See ``Plan``: the last position, at or before this one, whose counts are known."""
-        drawn = self._shape.drawn(epoch, batch)
+    def anchor(self, batch: int) -> Anchor:
+        """See ``BatchPlan``: the last position, at or before this one, whose counts are known."""
+        drawn = batch * self._batch
         return self._anchors[bisect.bisect_right(self._anchors, drawn, key=lambda anchor: anchor[0]) - 1]
 
-    def restore(self, anchor: Anchor, drawn: int) -> None:
-        """See ``Plan``."""
+    def restore(self, anchor: Anchor, batch: int) -> None:
+        """See ``BatchPlan``."""
         start, counts = int(anchor[0]), [int(count) for count in anchor[1]]
-        if start > drawn or sum(counts) != start or len(counts) != len(self.shares) or min(counts) < 0:
-            raise ValueError(f"{anchor} cannot be the counts before draw {drawn}")
+        if start > batch * self._batch or sum(counts) != start or len(counts) != len(self.shares) or min(counts) < 0:
+            raise ValueError(f"{anchor} cannot be the counts before batch {batch}")
         self._keep((start, counts))
 
     def _keep(self, anchor: Anchor) -> None:

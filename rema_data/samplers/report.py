@@ -1,4 +1,4 @@
-"""What a sampler does to the data, said plainly: shares, repeats, weights, and a warning where rows repeat a lot."""
+"""What a sampler does to the data: shares, repeats, weights, and a warning where rows repeat often."""
 
 from __future__ import annotations
 
@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = ["SamplerReport", "StratumReport", "make_report"]
+
+_MOST_REPEATS = 20.0
+"""Repeats of a row above which the report warns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +95,7 @@ class SamplerReport:
         return "\n".join([f"{self.draws:,} draws", *lines, *(f"warning: {text}" for text in self.warnings)])
 
 
-def make_report(strata: Strata, shares: Shares, draws: int, repeat_limit: float) -> SamplerReport:
+def make_report(strata: Strata, shares: Shares, draws: int) -> SamplerReport:
     """Report on so many draws with these shares."""
     rows = []
     for label, size, share in zip(strata.labels, strata.sizes.tolist(), shares.tolist(), strict=True):
@@ -100,9 +103,8 @@ def make_report(strata: Strata, shares: Shares, draws: int, repeat_limit: float)
         text = label_text(strata.by, label)
         rows.append(StratumReport(text, size, natural, share, expected, expected / size, natural / share))
     warnings = tuple(
-        f"each of the {row.rows:,} rows of {row.stratum} is drawn {row.repeats:.0f} times; "
-        "augment, lower target towards 1 (natural), or weight the loss"
+        f"each of the {row.rows:,} rows of {row.stratum} is drawn {row.repeats:.0f} times; augment, or weight the loss"
         for row in rows
-        if row.repeats > repeat_limit and row.weight < 1
+        if row.repeats > _MOST_REPEATS and row.weight < 1
     )
     return SamplerReport(tuple(rows), draws, warnings)

@@ -6,17 +6,16 @@ promises that for bit generators, not for ``Generator.permutation``), and any po
 
 from __future__ import annotations
 
-from typing import Any, Literal, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Cycle", "Independent", "Key", "Replacement", "Walk", "bits", "shuffled", "stream_key", "unit_interval"]
+__all__ = ["Key", "RowOrder", "bits", "shuffled", "stream_key", "unit_interval"]
 
 Key = npt.NDArray[np.uint64]
 """Key of a Philox stream, uint64 (2,)."""
 Rows = npt.NDArray[np.signedinteger[Any]]
-Replacement = bool | Literal["cycle"]
 _LANES = 4  # numbers that Philox makes at one count of its counter
 
 
@@ -52,34 +51,8 @@ def shuffled(keys: npt.NDArray[np.uint64]) -> npt.NDArray[np.int64]:
     return packed.view(np.int64)
 
 
-class Walk(Protocol):
-    """The rows of one stratum, in the order in which they are drawn."""
-
-    def draw(self, first: int, count: int) -> Rows:
-        """Rows of draws ``first`` to ``first + count``."""
-
-
-class Independent:
-    """Every draw is any row, whatever came before.
-
-    Parameters
-    ----------
-    rows : int array
-    key : Key
-    """
-
-    def __init__(self, rows: Rows, key: Key) -> None:
-        self._rows = rows
-        self._key = key
-
-    def draw(self, first: int, count: int) -> Rows:
-        """See ``Walk``."""
-        places = unit_interval(bits(self._key, first, count)) * len(self._rows)
-        return self._rows[places.astype(np.int64)]
-
-
-class Cycle:
-    """Every row once, in a fresh order each time round.
+class RowOrder:
+    """The order in which the rows of one stratum are drawn: every row once, in a new order each round.
 
     The order of a round sorts its part of the stream, so reaching any draw costs one sort of the stratum.
 
@@ -96,7 +69,7 @@ class Cycle:
         self._order = rows[:0]  # of that round
 
     def draw(self, first: int, count: int) -> Rows:
-        """See ``Walk``."""
+        """Rows of draws ``first`` to ``first + count``, counted since the start of training."""
         size = len(self._rows)
         begin, offset = divmod(first, size)
         end = -(-(first + count) // size)

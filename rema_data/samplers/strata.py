@@ -64,13 +64,13 @@ def table_of(source: Any) -> Any:
     Raises
     ------
     InputError
-        It is none of them.
+        It is something else.
     """
     table = getattr(source, "table", source)
     if isinstance(table, Mapping) or hasattr(table, "columns"):
         return table
     raise InputError(
-        f"a {type(source).__name__} is no table",
+        f"a {type(source).__name__} is not a table",
         hint="pass a dataset of `release.steps(...)`, a pandas DataFrame, or a mapping of column names to arrays",
     )
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import BlockEntry
-from rema_data.release.repair import Mending
+from rema_data.release.repair import RepairHints
 from rema_data.schema import TASKS, skill
 from rema_data.store.block import BlockReader
 
@@ -154,7 +154,7 @@ def count(release: ReleaseFolder) -> Statistics:
         release.manifest.sha256,
         tuple(row for block in here for row in _count_block(block, release.block(block))),
         missing,
-        Mending(release).blocks(block.key for block in missing) if missing else "",
+        RepairHints(release).blocks(block.key for block in missing) if missing else "",
     )
 
 

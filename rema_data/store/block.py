@@ -26,10 +26,18 @@ from rema_data.heights import encode_heights, pack_mask
 from rema_data.schema import Episode, Observation
 from rema_data.storage import write_atomic
 from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS
-from rema_data.store.hints import Mend, ask_verify
+from rema_data.store.hints import RepairHint, ask_verify
 from rema_data.store.keys import SPLITS, BlockKey
 from rema_data.store.maps import MapsReader, MapsWriter
-from rema_data.store.tables import episode_row, episodes_table, read_table, step_row, steps_table, to_parquet
+from rema_data.store.tables import (
+    as_stored,
+    episode_row,
+    episodes_table,
+    read_table,
+    step_row,
+    steps_table,
+    to_parquet,
+)
 
 __all__ = ["EPISODES", "SPLITS", "STEPS", "BlockKey", "BlockReader", "BlockWriter", "EncodedMaps", "encode_episodes"]
 
@@ -138,8 +146,12 @@ class BlockWriter:
     def close(self) -> None:
         """Write the tables and what is left of the maps."""
         self._maps.close()
-        for name, tables in ((EPISODES, self._episodes), (STEPS, self._steps)):
-            write_atomic(self._folder / name, to_parquet(pa.concat_tables(tables).combine_chunks()))
+        for name, tables, columns in (
+            (EPISODES, self._episodes, EPISODE_COLUMNS),
+            (STEPS, self._steps, STEP_COLUMNS),
+        ):
+            whole = pa.concat_tables(tables).combine_chunks()
+            write_atomic(self._folder / name, to_parquet(as_stored(whole, columns)))
 
 
 def _replaced(table: pa.Table, name: str, values: Array) -> pa.Table:
@@ -154,22 +166,22 @@ class BlockReader:
     Parameters
     ----------
     folder : Path
-    mend : callable
+    repair_hint : callable
         Hint of an error about a path in it: what brings the file back.
     """
 
-    def __init__(self, folder: Path, mend: Mend = ask_verify) -> None:
+    def __init__(self, folder: Path, repair_hint: RepairHint = ask_verify) -> None:
         self.folder = folder
-        self.mend = mend
+        self.repair_hint = repair_hint
 
     def episodes(self) -> pa.Table:
         """Table of the episodes; see ``read_table`` for what it raises."""
-        return read_table(self.folder / EPISODES, EPISODE_COLUMNS, self.mend)
+        return read_table(self.folder / EPISODES, EPISODE_COLUMNS, self.repair_hint)
 
     def steps(self) -> pa.Table:
         """Table of the steps; see ``read_table`` for what it raises."""
-        return read_table(self.folder / STEPS, STEP_COLUMNS, self.mend)
+        return read_table(self.folder / STEPS, STEP_COLUMNS, self.repair_hint)
 
     def maps(self) -> MapsReader:
         """Reader of the maps."""
-        return MapsReader(self.folder, self.mend)
+        return MapsReader(self.folder, self.repair_hint)

@@ -1,15 +1,25 @@
-"""The columns of ``episodes.parquet`` and ``steps.parquet``: name, type, unit, frame and meaning, in one place."""
+"""The columns of ``episodes.parquet`` and ``steps.parquet``: name, type, unit, frame and meaning, in one place.
+
+To add a column: a nullable field of ``rema_data.schema.Evidence``, or a line here, with ``since`` one above
+``rema_data.schema.SCHEMA_VERSION``; and raise that number. Releases of earlier versions are read as before, with the
+column's default in every row.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
 
-import pyarrow as pa
+import numpy as np
 
+from rema_data.errors import InputError
 from rema_data.schema import SCHEMA_VERSION, Evidence
 
-__all__ = ["EPISODE_COLUMNS", "STEP_COLUMNS", "Column", "arrow_schema"]
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+__all__ = ["EPISODE_COLUMNS", "STEP_COLUMNS", "Column", "arrow_schema", "check_version", "columns_at"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +37,10 @@ class Column:
     frame : str
         ``world``, ``hand`` or ``pair`` for a pose; else empty. Frames are defined in ``rema_data.schema``.
     nullable : bool
+    since : int
+        Schema version that introduced it; above 1 the column is nullable.
+    default : str, float, int, bool or None
+        Its value in the rows of earlier versions.
     """
 
     name: str
@@ -35,6 +49,8 @@ class Column:
     unit: str = ""
     frame: str = ""
     nullable: bool = False
+    since: int = 1
+    default: str | float | bool | None = None
 
 
 def _spec(prefix: str, what: str, nullable: bool) -> Iterator[Column]:
@@ -69,7 +85,15 @@ def _pinch() -> Iterator[Column]:
 
 
 _EVIDENCE_TYPES = {"str": "string", "float": "float64", "int": "int32"}
-_ARM, *_MEASURED = (Column(item.name, _EVIDENCE_TYPES[str(item.type)], **item.metadata) for item in fields(Evidence))
+
+
+def _evidence() -> Iterator[Column]:
+    for item in fields(Evidence):
+        kind, nullable, _ = str(item.type).partition(" | None")
+        yield Column(item.name, _EVIDENCE_TYPES[kind], nullable=bool(nullable), **item.metadata)
+
+
+_ARM, *_MEASURED = _evidence()
 
 _PLACE = (
     Column("task", "string", "task of the episode"),
@@ -120,7 +144,40 @@ STEP_COLUMNS: tuple[Column, ...] = (
 """One row an executed step. The columns of tools and of the pinched object are null where there is none."""
 
 
-def arrow_schema(columns: tuple[Column, ...]) -> pa.Schema:
-    """Arrow schema of a table."""
+def columns_at(columns: tuple[Column, ...], version: int) -> tuple[Column, ...]:
+    """The columns that a table of a schema version has."""
+    return tuple(column for column in columns if column.since <= version)
+
+
+def arrow_schema(columns: tuple[Column, ...], version: int = SCHEMA_VERSION) -> pa.Schema:
+    """Arrow schema of these columns, marked with the schema version in which their table is stored."""
+    import pyarrow as pa  # opening a release does not need Arrow
+
     fields = [pa.field(column.name, pa.type_for_alias(column.type), column.nullable) for column in columns]
-    return pa.schema(fields, {"rema.schema_version": str(SCHEMA_VERSION)})
+    return pa.schema(fields, {"rema.schema_version": str(version)})
+
+
+def check_version(version: Any, where: str) -> int:
+    """A schema version that this rema reads.
+
+    Parameters
+    ----------
+    version : object
+        As a file states it.
+    where : str
+        The file, for messages.
+
+    Raises
+    ------
+    InputError
+        It is newer, or not a version.
+    """
+    if isinstance(version, np.integer):
+        version = int(version)
+    if isinstance(version, int) and not isinstance(version, bool) and 1 <= version <= SCHEMA_VERSION:
+        return version
+    raise InputError(
+        f"{where} has schema version {version!r}, this rema reads {SCHEMA_VERSION} and earlier",
+        hint="install a rema that reads it: pip install --upgrade rema",
+        schema_version=version,
+    )

@@ -1,16 +1,16 @@
-"""What an error about a damaged file says of its mending: whoever knows the release hands over the command."""
+"""The repair hint of an error about a damaged file: code that knows the release passes the command in."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
 
-__all__ = ["Mend", "ask_verify"]
+__all__ = ["RepairHint", "ask_verify"]
 
-Mend = Callable[[Path], str]
+RepairHint = Callable[[Path], str]
 """Hint of an error about a file or folder of a block."""
 
 
 def ask_verify(path: Path) -> str:
-    """Where the release is not known: the command that says what mends the file."""
-    return "find out what mends it: `rema verify`, with the name or the folder of the release"
+    """Where the release is not known: the command that says how to repair the file."""
+    return "see how to repair it: `rema verify`, with the name or the folder of the release"

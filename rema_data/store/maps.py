@@ -31,7 +31,7 @@ from rema_data.grid import EE_PIXELS, SCENE_PIXELS
 from rema_data.heights import HEIGHT_ERROR_M, HEIGHT_OFFSET_M, MISSING
 from rema_data.schema import HEIGHT_STEP_M
 from rema_data.storage import storage_errors
-from rema_data.store.hints import Mend, ask_verify
+from rema_data.store.hints import RepairHint, ask_verify
 
 __all__ = ["ARRAYS", "MAPS", "ArrayFormat", "MapsReader", "MapsWriter"]
 
@@ -169,7 +169,7 @@ class MapsReader:
     ----------
     folder : Path
         Of the block.
-    mend : callable
+    repair_hint : callable
         Hint of an error about a path in it.
 
     Raises
@@ -180,11 +180,13 @@ class MapsReader:
         Their metadata are damaged.
     """
 
-    def __init__(self, folder: Path, mend: Mend = ask_verify) -> None:
+    def __init__(self, folder: Path, repair_hint: RepairHint = ask_verify) -> None:
         self._path = folder / MAPS
-        self._mend = mend
+        self._repair_hint = repair_hint
         if not (self._path / "zarr.json").is_file():
-            raise MissingFileError(f"there are no maps at {self._path}", hint=mend(self._path), path=str(self._path))
+            raise MissingFileError(
+                f"there are no maps at {self._path}", hint=repair_hint(self._path), path=str(self._path)
+            )
         self._arrays: dict[str, zarr.Array[Any]] = {}
         for name, form in ARRAYS.items():
             try:
@@ -197,7 +199,7 @@ class MapsReader:
 
     def _damage(self, name: str, why: str) -> IntegrityError:
         path = self._path / name
-        return IntegrityError(f"array {path} is damaged: {why}", hint=self._mend(path), path=str(path))
+        return IntegrityError(f"array {path} is damaged: {why}", hint=self._repair_hint(path), path=str(path))
 
     def rows(self, name: str) -> int:
         """Number of rows of an array."""

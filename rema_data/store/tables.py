@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 from rema_data.errors import IntegrityError, MissingFileError
 from rema_data.schema import (
     EVIDENCE,
+    SCHEMA_VERSION,
     Action,
     Episode,
     Failure,
@@ -27,10 +28,12 @@ from rema_data.schema import (
     StepOutcome,
     skill,
 )
-from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, Column, arrow_schema
-from rema_data.store.hints import Mend, ask_verify
+from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, Column, arrow_schema, columns_at
+from rema_data.store.hints import RepairHint, ask_verify
 
 __all__ = [
+    "as_stored",
+    "complete",
     "episode_row",
     "episodes_table",
     "outcome_of",
@@ -38,6 +41,7 @@ __all__ = [
     "situation_of",
     "step_row",
     "steps_table",
+    "table_version",
     "to_parquet",
 ]
 
@@ -133,19 +137,43 @@ def action_of(row: Mapping[str, Any]) -> Action:
     return Action(int(row["action"]))
 
 
-def _table(rows: Sequence[Mapping[str, Any]], columns: tuple[Column, ...]) -> pa.Table:
-    schema = arrow_schema(columns)
+def _table(rows: Sequence[Mapping[str, Any]], columns: tuple[Column, ...], version: int) -> pa.Table:
+    schema = arrow_schema(columns, version)
     return pa.Table.from_pydict({name: [row.get(name) for row in rows] for name in schema.names}, schema=schema)
 
 
-def episodes_table(rows: Sequence[Mapping[str, Any]]) -> pa.Table:
-    """Rows of ``episode_row`` as a table."""
-    return _table(rows, EPISODE_COLUMNS)
+def episodes_table(rows: Sequence[Mapping[str, Any]], version: int = SCHEMA_VERSION) -> pa.Table:
+    """Rows of ``episode_row`` as a table, to be stored in a schema version."""
+    return _table(rows, EPISODE_COLUMNS, version)
 
 
 def steps_table(rows: Sequence[Mapping[str, Any]]) -> pa.Table:
     """Rows of ``step_row`` as a table."""
-    return _table(rows, STEP_COLUMNS)
+    return _table(rows, STEP_COLUMNS, SCHEMA_VERSION)
+
+
+def table_version(table: pa.Table) -> int:
+    """The schema version in which a table is stored: the newest one that has its columns."""
+    return int((table.schema.metadata or {}).get(b"rema.schema_version", SCHEMA_VERSION))
+
+
+def complete(table: pa.Table, columns: tuple[Column, ...]) -> pa.Table:
+    """A stored table with all columns: those that are newer than it hold their default. Its version stays."""
+    if table.num_columns == len(columns):
+        return table
+    schema, found = arrow_schema(columns, table_version(table)), set(table.column_names)
+    return pa.Table.from_arrays(
+        [
+            table[column.name] if column.name in found else pa.repeat(pa.scalar(column.default, field.type), len(table))
+            for column, field in zip(columns, schema, strict=True)
+        ],
+        schema=schema,
+    )
+
+
+def as_stored(table: pa.Table, columns: tuple[Column, ...]) -> pa.Table:
+    """A table without the columns that are newer than its own version, so that it can be written as it was read."""
+    return table.select([column.name for column in columns_at(columns, table_version(table))])
 
 
 def to_parquet(table: pa.Table) -> bytes:
@@ -168,30 +196,34 @@ def to_parquet(table: pa.Table) -> bytes:
     return buffer.getvalue()
 
 
-def read_table(path: Path, columns: tuple[Column, ...], mend: Mend = ask_verify) -> pa.Table:
-    """A table of a block, checked against its schema; ``mend`` gives the hint about a damaged or missing one.
+def read_table(path: Path, columns: tuple[Column, ...], repair_hint: RepairHint = ask_verify) -> pa.Table:
+    """A table of a block, checked against its schema; ``repair_hint`` gives the hint about a damaged or missing one.
+
+    It has all ``columns``: those that are newer than the table hold their default. ``table_version`` still gives the
+    version in which it is stored.
 
     Raises
     ------
     MissingFileError
         It is not there.
     IntegrityError
-        It is not a whole Parquet file, or has other columns.
+        It is not a whole Parquet file, or has columns of no schema version that this rema knows.
     """
     try:
         table = pq.read_table(path, page_checksum_verification=True)
         found = table.schema.names  # decoded here: damaged names are no text
     except FileNotFoundError:
-        raise MissingFileError(f"table {path} does not exist", hint=mend(path), path=str(path)) from None
+        raise MissingFileError(f"table {path} does not exist", hint=repair_hint(path), path=str(path)) from None
     except (pa.ArrowException, ValueError, OSError) as error:
-        raise IntegrityError(f"table {path} is damaged: {error}", hint=mend(path), path=str(path)) from error
-    wanted = arrow_schema(columns)
-    if found != wanted.names or table.schema.types != wanted.types:
-        names = set(wanted.names) ^ set(found)
-        what = f"other columns ({', '.join(sorted(names))})" if names else "columns of other types"
-        raise IntegrityError(
-            f"table {path} has {what} than schema version {wanted.metadata[b'rema.schema_version'].decode()}",
-            hint="install the version of rema that the release belongs to",
-            path=str(path),
-        )
-    return table
+        raise IntegrityError(f"table {path} is damaged: {error}", hint=repair_hint(path), path=str(path)) from error
+    for version in range(SCHEMA_VERSION, 0, -1):
+        expected = arrow_schema(columns_at(columns, version), version)
+        if found == expected.names and table.schema.types == expected.types:
+            return complete(table.replace_schema_metadata(expected.metadata), columns)
+    names = {column.name for column in columns} ^ set(found)
+    what = f"other columns ({', '.join(sorted(names))})" if names else "columns of other types"
+    raise IntegrityError(
+        f"table {path} has {what} than schema version {SCHEMA_VERSION}",
+        hint="install the version of rema that the release belongs to: pip install --upgrade rema",
+        path=str(path),
+    )

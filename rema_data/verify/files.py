@@ -10,7 +10,7 @@ from rema_data.download.part import SUFFIX
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, BlockEntry, FileEntry
 from rema_data.release.registry import published
-from rema_data.release.repair import Mending, is_download
+from rema_data.release.repair import RepairHints, is_download
 from rema_data.release.seal import file_sha256
 from rema_data.schema import TASKS
 from rema_data.verify.findings import Findings
@@ -55,9 +55,11 @@ def check_manifest(release: ReleaseFolder, findings: Findings) -> set[str]:
                 mend="seal the release again from its plan: rema collect PLAN",
             )
     if not copy.is_file():
-        findings.add("missing", str(copy), "the manifest beside the data", mend=Mending(release).file(location))
+        findings.add("missing", str(copy), "the manifest beside the data", mend=RepairHints(release).file(location))
     elif copy.read_bytes() != manifest.to_bytes():
-        findings.add("manifest", str(copy), "it is not the release's manifest", mend=Mending(release).file(location))
+        findings.add(
+            "manifest", str(copy), "it is not the release's manifest", mend=RepairHints(release).file(location)
+        )
     else:
         return set()
     return {location}
@@ -81,7 +83,7 @@ def check_files(
     set of str
         Locations of the files that are not what the manifest names.
     """
-    damaged, mending = set(), Mending(release)
+    damaged, mending = set(), RepairHints(release)
     progress.phase("files", len(entries))
     for entry in entries:
         path = release.file(entry)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from rema_data.errors import InputError
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST
-from rema_data.release.repair import Mending, is_download
+from rema_data.release.repair import RepairHints, is_download
 from rema_data.storage import write_atomic
 from rema_data.verify.findings import Report
 
@@ -33,7 +33,7 @@ def repair(release: ReleaseFolder, report: Report, sources: Sequence[str | os.Pa
     RemaError
         See ``rema_data.download.fetch.fetch_again``.
     """
-    mending = Mending(release)
+    mending = RepairHints(release)
     if not is_download(release):
         raise InputError(
             f"{release.path} was not downloaded, so nothing in it is changed",

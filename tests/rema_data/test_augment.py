@@ -48,18 +48,15 @@ def assert_on_the_pixel(scene: Tensor, action: Tensor) -> None:
 
 
 @settings(max_examples=40, deadline=None)
-@given(valid, valid, any_k, seeds, st.sampled_from([None, 0, 3]))
-def test_translation_keeps_the_label_on_its_pixel(i: int, j: int, k: int, seed: int, most: int | None) -> None:
+@given(valid, valid, any_k, seeds)
+def test_translation_keeps_the_label_on_its_pixel(i: int, j: int, k: int, seed: int) -> None:
     scene, action = planted(i, j, k)
     before = scene.clone(), action.clone()
-    moved, label = translate(scene, action, generator(seed), most)
+    moved, label = translate(scene, action, generator(seed))
     assert_on_the_pixel(moved, label)
     assert torch.equal(label % ANGLES, action % ANGLES)
     assert moved[0].count_nonzero() == 1
     assert torch.equal(scene, before[0]) and torch.equal(action, before[1])
-    if most is not None:
-        ni, nj, _ = decode(label[0].numpy())
-        assert max(abs(ni - i), abs(nj - j)) <= most
 
 
 @settings(max_examples=40, deadline=None)
@@ -328,10 +325,10 @@ def steps(count: int = 40) -> Steps:
     return Steps(scene, depth, mask, torch.from_numpy(encode(i, j, k)), index)
 
 
-@pytest.mark.parametrize("which", ["pushes", "all", "none"])
-def test_every_step_gets_what_is_valid_for_it(which: Any) -> None:
+@pytest.mark.parametrize("mirrored", [True, False])
+def test_every_step_gets_what_is_valid_for_it(mirrored: bool) -> None:
     batch = steps()
-    augment = Augment(TABLE, mirror=which)
+    augment = Augment(TABLE, mirror=mirrored)
     random = generator(5)
     outcomes = [augment(batch, random) for _ in range(10)]
     for row, kind in enumerate(KINDS):
@@ -342,8 +339,8 @@ def test_every_step_gets_what_is_valid_for_it(which: Any) -> None:
         two = kind.embodiment.two_arms
         if kind.primitive == "push":
             image = (8 - old) if two else (16 - old) % 16
-            assert ((new == old) | ((new == image) & (which != "none"))).all()
-            if which != "none":
+            assert ((new == old) | ((new == image) & mirrored)).all()
+            if mirrored:
                 able = (image != old) & ~(two & (old == 0))
                 assert 0.25 < (new != old)[able].float().mean() < 0.75
         else:
@@ -352,7 +349,7 @@ def test_every_step_gets_what_is_valid_for_it(which: Any) -> None:
             assert len(set(new.tolist())) > angles // 2
         if kind.embodiment in ("tool", "pinched"):
             still = (old == 0) & two
-            assert reflected[~still].any() == (which != "none")
+            assert reflected[~still].any() == mirrored
             assert not reflected[still].any()
     for out in outcomes:
         i, j, _ = decode(out.action.numpy())
@@ -362,12 +359,12 @@ def test_every_step_gets_what_is_valid_for_it(which: Any) -> None:
 
 def test_parts_can_be_left_out() -> None:
     batch = steps()
-    same = Augment(TABLE, translate=False, rotate=False, mirror="none")(batch, generator(0))
-    assert torch.equal(same.scene, batch.scene) and torch.equal(same.action, batch.action)
-    turned = Augment(TABLE, translate=False, mirror="none")(batch, generator(0))
+    moved = Augment(TABLE, rotate=False, mirror=False)(batch, generator(0))
+    assert torch.equal(moved.action % ANGLES, batch.action % ANGLES)
+    turned = Augment(TABLE, mirror=False)(batch, generator(0))
     pushes = torch.tensor([kind.primitive == "push" for kind in KINDS])[batch.index]
-    assert torch.equal(turned.action[pushes], batch.action[pushes])
-    assert not torch.equal(turned.action[~pushes], batch.action[~pushes])
+    assert torch.equal(turned.action[pushes] % ANGLES, batch.action[pushes] % ANGLES)
+    assert not torch.equal(turned.action[~pushes] % ANGLES, batch.action[~pushes] % ANGLES)
 
 
 def test_refusals() -> None:
@@ -380,10 +377,5 @@ def test_refusals() -> None:
         rotate(torch.zeros(2, 4, 64, 64), action, random)
     with pytest.raises(InputError, match="end-effector maps have the shape"):
         mirror(scene, action, [torch.zeros(2, 4, 64, 64)])
-    with pytest.raises(InputError, match=r"angles 0..7"):
-        turn(scene, action, torch.tensor([5, 1]), pair=True)
-    turn(scene, action, torch.tensor([4, -3]), pair=True)
-    with pytest.raises(InputError, match="mirror='x'"):
-        Augment(TABLE, mirror="x")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="no column 'embodiment'"):
         Augment({"primitive": ["push"]})

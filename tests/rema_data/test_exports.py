@@ -27,6 +27,15 @@ def test_import_is_light() -> None:
     assert run.stdout.strip() == ""
 
 
+def test_opening_a_published_release_is_light() -> None:
+    code = (
+        "import sys; from rema_data.release.registry import load_published; load_published('rema-sample')\n"
+        "print(*sorted({'torch', 'pandas', 'pyarrow', 'zarr', 'pydantic'} & set(sys.modules)))"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == ""
+
+
 @pytest.mark.parametrize("first", ["import rema_data.download", "from rema_data.download import download"])
 def test_names_do_not_depend_on_the_order_of_imports(first: str) -> None:
     """A submodule imported first must not hide what the package offers under its name."""

@@ -61,7 +61,7 @@ def test_translation_moves_the_label_with_the_scene(release: rema_data.Release, 
     data = open_data(release, config)
     batch = data.train[np.arange(20)]
     assert isinstance(batch, StepBatch)
-    augment = Augment(data.train, rotate=False, mirror="none")
+    augment = Augment(data.train, rotate=False, mirror=False)
     plain, moved = (
         prepared(batch, chosen, torch.Generator().manual_seed(0), torch.device("cpu")) for chosen in (None, augment)
     )

@@ -33,43 +33,6 @@ def test_files_that_are_not_there(tmp_path: Path) -> None:
     refuse([], tmp_path, MissingFileError, "no file to import was named")
 
 
-@pytest.mark.parametrize("content", [b"", b"<!DOCTYPE html>" * 100])
-def test_a_file_that_is_not_hdf5(content: bytes, tmp_path: Path) -> None:
-    path = tmp_path / "grasp.hdf5"
-    path.write_bytes(content)
-    refuse([path], tmp_path, IntegrityError, "grasp.hdf5 cannot be read: it is not an HDF5 file")
-
-
-@pytest.mark.parametrize("share", [0.1, 0.5, 0.99])
-def test_a_truncated_file(share: float, export: Path, tmp_path: Path) -> None:
-    path = export / f"{TASK}.hdf5"
-    data = path.read_bytes()
-    path.write_bytes(data[: int(share * len(data))])
-    refuse([export], tmp_path, IntegrityError, f"{TASK}.hdf5 cannot be read: it is truncated or damaged")
-
-
-def test_a_flipped_byte_never_passes_for_the_release(tmp_path: Path) -> None:
-    """Wherever it is: the import is refused, or its identity is another one, or the byte meant nothing."""
-    export = tmp_path / "export"
-    (made,) = export_release(make_release(tmp_path, tasks=("grasp",), episodes=2), export)
-    path = made.path
-    data = bytearray(path.read_bytes())
-    refused = 0
-    for number, place in enumerate(np.random.default_rng(0).integers(0, len(data), 8)):
-        damaged = data.copy()
-        damaged[place] ^= 0xFF
-        path.write_bytes(damaged)
-        try:
-            imported = import_release([export], tmp_path / f"back-{number}")
-        except RemaError as error:
-            refused += "grasp.hdf5" in error.message
-            continue
-        if imported.identical:
-            export_release(imported.release, tmp_path / f"again-{number}")
-            assert (tmp_path / f"again-{number}" / "grasp.hdf5").read_bytes() == bytes(data)
-    assert refused > 3
-
-
 def test_a_file_of_somebody_else(tmp_path: Path) -> None:
     path = tmp_path / "demo.hdf5"
     with h5py.File(path, "w") as file:

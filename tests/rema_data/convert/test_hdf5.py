@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import resource
 from pathlib import Path
 
 import h5py
@@ -128,38 +127,9 @@ def test_another_export_is_not_overwritten(options: ExportOptions, release: Rele
 def test_what_is_not_there_cannot_be_exported(release: ReleaseFolder, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="has no task push"):
         export_release(release, tmp_path, tasks=["push"])
-    with pytest.raises(InputError, match="unknown format 'zip'") as error:
-        export_release(release, tmp_path, "zip")
-    assert "hdf5" in error.value.hint
     with pytest.raises(MissingFileError, match="not on this machine") as missing:
         export_release(ReleaseFolder(release.manifest, tmp_path / "empty"), tmp_path)
     assert "copy them again" in missing.value.hint
-    assert files(tmp_path) == {}
-
-
-class _Stop:
-    def phase(self, name: str, total: int) -> None:
-        assert total == 12 and name == "export grasp"
-
-    def advance(self, n: int) -> None:
-        raise KeyboardInterrupt
-
-
-def test_an_interrupted_export_leaves_nothing(release: ReleaseFolder, tmp_path: Path) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        export_release(release, tmp_path, progress=_Stop())
-    assert files(tmp_path) == {}
-
-
-@pytest.mark.parametrize("limit", [3_000, 60_000])
-def test_a_full_disk_is_an_error_and_leaves_nothing(limit: int, release: ReleaseFolder, tmp_path: Path) -> None:
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
-    try:
-        with pytest.raises(StorageError, match=r"grasp\.hdf5.*larger than is allowed"):
-            export_release(release, tmp_path)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert files(tmp_path) == {}
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 
 from rema_data.convert import export_release, import_release
-from rema_data.errors import InputError, RunMismatchError, StorageError
+from rema_data.errors import InputError, RunMismatchError
 from rema_data.loader.release import Release
 from rema_data.release.folder import ReleaseFolder, find_release
 from rema_data.release.registry import register
@@ -219,28 +218,3 @@ def test_a_release_is_never_overwritten(release: ReleaseFolder, exported: Path, 
     with pytest.raises(InputError, match="cannot name a release"):
         import_release([exported], tmp_path, "../up")
     assert files(tmp_path) == before
-
-
-class _Stop:
-    def phase(self, name: str, total: int) -> None:
-        assert name == "import" and total > 24
-
-    def advance(self, n: int) -> None:
-        raise KeyboardInterrupt
-
-
-def test_an_interrupted_import_leaves_nothing(exported: Path, tmp_path: Path) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        import_release([exported], tmp_path / "back", progress=_Stop())
-    assert list((tmp_path / "back").iterdir()) == []
-
-
-def test_a_full_disk_is_an_error_and_leaves_nothing(exported: Path, tmp_path: Path) -> None:
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (2_000, hard))
-    try:
-        with pytest.raises(StorageError, match="larger than is allowed"):
-            import_release([exported], tmp_path / "back")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert list((tmp_path / "back").iterdir()) == []

@@ -18,9 +18,10 @@ import pytest
 import rema_data
 from rema_data.errors import IntegrityError, MissingFileError, StorageError
 from rema_data.heights import decode_heights
-from rema_data.loader import cache as caching
+from rema_data.loader import build
 from rema_data.loader.cache import DecodedCache, caches_folder
 from rema_data.loader.record import damaged_files, has_digests, is_whole
+from rema_data.progress import Silent
 from rema_data.release.folder import ReleaseFolder
 
 
@@ -33,7 +34,7 @@ def forbid_decoding(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError("decoded again")
 
-    monkeypatch.setattr(caching, "decode_blocks", refuse)
+    monkeypatch.setattr(build, "decode_blocks", refuse)
 
 
 def contents(cache: DecodedCache) -> list[bytes]:
@@ -162,14 +163,14 @@ def test_leftovers_of_a_killed_builder_go(small: ReleaseFolder) -> None:
 DIE = """
 import os, sys
 import rema_data
-from rema_data.loader import cache
-write, left = cache._FileSink.put, [int(sys.argv[2])]
+from rema_data.loader import build
+write, left = build._FileSink.put, [int(sys.argv[2])]
 def put(*words):
     write(*words)
     left[0] -= 1
     if left[0] < 0:
         os._exit(9)
-cache._FileSink.put = put
+build._FileSink.put = put
 rema_data.load(sys.argv[1]).cache
 """
 
@@ -240,11 +241,18 @@ def test_home_that_cannot_be_a_folder(small: ReleaseFolder, places: Path, monkey
 
 
 def test_progress_and_log(small: ReleaseFolder, caplog: pytest.LogCaptureFixture) -> None:
-    seen: list[tuple[int, int]] = []
+    class Seen(Silent):
+        def phase(self, name: str, total: int) -> None:
+            phases.append((name, total))
+
+        def advance(self, n: int) -> None:
+            steps.append(n)
+
+    phases: list[tuple[str, int]] = []
+    steps: list[int] = []
     with caplog.at_level(logging.INFO, "rema_data"):
-        rema_data.load(small.path, progress=lambda done, total: seen.append((done, total))).cache  # noqa: B018
-    done = [pair[0] for pair in seen]
-    assert done == sorted(done) and done[-1] == seen[-1][1] and len({pair[1] for pair in seen}) == 1
+        rema_data.load(small.path, progress=Seen()).cache  # noqa: B018
+    assert phases == [("decode tiny", sum(steps))] and min(steps) > 0
     assert [record.message.split()[0] for record in caplog.records if "tiny" in record.message] == [
         "decoding",
         "decoded",

@@ -70,9 +70,10 @@ def manifests(draw: st.DrawFn) -> Manifest:
 @given(manifests())
 def test_round_trip(manifest: Manifest) -> None:
     data = manifest.to_bytes()
-    read = parse_manifest(data, "here", manifest.sha256)
-    assert read == manifest
-    assert read.sha256 == hashlib.sha256(data).hexdigest()
+    for sha256 in (None, manifest.sha256):  # every field checked, or trusted by its hash
+        read = parse_manifest(data, "here", sha256)
+        assert read == manifest
+        assert read.sha256 == hashlib.sha256(data).hexdigest()
 
 
 JSON = st.recursive(
@@ -243,7 +244,7 @@ def changed(*place: Any, to: Any) -> Callable[[Any], None]:
         (changed("files", 0, "sha256", to="A" * 64), "has the sha256"),
         (changed("files", 0, "bytes", to=-1), "bytes is -1"),
         (changed("files", 0, "bytes", to=True), "bytes is True"),
-        (changed("files", 0, "extra", to=1), "an entry has the fields"),
+        (changed("files", 0, "extra", to=1), r"files\[0\].extra is not a known field"),
         (changed("blocks", 0, "task", to="juggle"), "names no block"),
         (changed("blocks", 0, "split", to="test"), "names no block"),
         (changed("blocks", 0, "round", to=0), "names no block"),
@@ -261,8 +262,8 @@ def changed(*place: Any, to: Any) -> Callable[[Any], None]:
         (lambda content: content["blocks"].reverse(), "the blocks are not in their order"),
         (changed("parent", "name", to="../../x"), "cannot name a release"),
         (changed("parent", "sha256", to="zz"), "the parent older has the sha256 'zz'"),
-        (lambda content: content.pop("schema_version"), "the field schema_version is missing"),
-        (lambda content: content.pop("blocks"), "the field blocks is missing"),
+        (lambda content: content.pop("schema_version"), "schema_version is missing"),
+        (lambda content: content.pop("blocks"), "blocks is missing"),
         (changed("format", to="another release"), "it does not say that it is a rema release"),
         (changed("title", to="\ud800"), "surrogates not allowed"),
     ],
@@ -277,6 +278,15 @@ def test_a_contradiction_is_named(change: Callable[[Any], None], reason: str) ->
         parse_manifest(data, "some/manifest.json")
     assert "some/manifest.json" in caught.value.message
     assert caught.value.hint == "copy some/manifest.json again from where it came from"
+
+
+def test_every_wrong_field_is_named() -> None:
+    content = copy.deepcopy(CONTENT)
+    content["files"][1]["bytes"], content["blocks"][0]["task"], content["title"] = "5", None, 7
+    with pytest.raises(IntegrityError) as caught:
+        parse_manifest(canonical(content), "here")
+    for part in ("title is 7", "blocks[0].task is None", "files[1].bytes is '5'"):
+        assert part in caught.value.message
 
 
 def test_other_spelling_of_the_same_content_is_refused() -> None:

@@ -18,12 +18,12 @@ from scipy import stats
 
 from rema_data.errors import InputError
 from rema_data.samplers import BalancedSampler
+from rema_data.samplers.batch_plan import ExactPlan
 from tests.rema_data.samplers.datasets import Rows
 from tests.rema_data.samplers.tables import TASKS, golden_digest, labels_of, table, uneven
 
 GOLDEN = {
     "cycle": "4e57fb4fe3f99df3",
-    "with replacement": "772ea2bf3fc42b16",
     "average": "868020e7292b23a6",
 }
 
@@ -63,16 +63,15 @@ shares = st.lists(st.floats(0.02, 1.0), min_size=2, max_size=9)
 
 
 @settings(max_examples=30, deadline=None)
-@given(shares, st.integers(1, 40), st.integers(0, 1000))
-def test_counts_stay_within_one_of_the_share(weights: list[float], batch: int, seed: int) -> None:
+@given(shares, st.integers(1, 40))
+def test_counts_stay_within_one_of_the_share(weights: list[float], batch: int) -> None:
     """In every batch the share rounded up or down; over any time less than one draw off."""
-    columns = {"task": np.arange(len(weights)).repeat(3)}
-    target = dict(enumerate(weights))
-    sampler = BalancedSampler(columns, batch, by="task", target=target, num_samples=batch * 40, seed=seed, rotate=True)
-    realised = sampler._plan.shares
-    assert np.abs(realised - np.array(weights) / sum(weights)).max() < 1e-3
-    counts = np.stack([np.bincount(code_of(sampler, rows), minlength=len(weights)) for rows in epochs(sampler, 3)])
-    ideal = realised * batch
+    plan = ExactPlan(np.array(weights) / sum(weights), batch)
+    assert np.abs(plan.shares - np.array(weights) / sum(weights)).max() < 1e-3
+    labels = plan.labels(0, 120)
+    counts = np.stack([np.bincount(row, minlength=len(weights)) for row in labels])
+    assert (counts.cumsum(0)[-1] == plan.before(120)).all()
+    ideal = plan.shares * batch
     assert (counts >= np.floor(ideal - 1e-9)).all()
     assert (counts <= np.ceil(ideal + 1e-9)).all()
     assert (counts.sum(1) == batch).all()
@@ -80,12 +79,9 @@ def test_counts_stay_within_one_of_the_share(weights: list[float], batch: int, s
     assert np.abs(owed).max() < 1
 
 
-@pytest.mark.parametrize("replacement", ["cycle", True])
-def test_average_mode_follows_the_shares(replacement: Any) -> None:
+def test_average_mode_follows_the_shares() -> None:
     columns = uneven()
-    sampler = BalancedSampler(
-        columns, 8, mode="average", target=0.5, replacement=replacement, num_samples=80_000, seed=3
-    )
+    sampler = BalancedSampler(columns, 8, mode="average", num_samples=80_000, seed=3)
     batches = list(sampler)
     codes = code_of(sampler, rows_of(batches))
     expected = sampler._plan.shares * len(codes)
@@ -94,13 +90,6 @@ def test_average_mode_follows_the_shares(replacement: Any) -> None:
     assert len(held) > 1
     counts = np.bincount(codes.reshape(-1, 8)[:2000].ravel() + 8 * np.arange(2000).repeat(8), minlength=16_000)
     assert counts.max() >= 4  # a batch is not exact
-
-
-def test_with_replacement_every_row_is_as_likely() -> None:
-    sampler = BalancedSampler(table({("push", True): 10, ("push", False): 30}), 8, replacement=True, num_samples=40_000)
-    counts = np.bincount(rows_of(list(sampler)))
-    for rows in sampler.strata.rows:
-        assert stats.chisquare(counts[rows]).pvalue > 0.001
 
 
 def test_orders_of_a_small_stratum_are_equally_likely() -> None:
@@ -115,51 +104,24 @@ def test_orders_of_a_small_stratum_are_equally_likely() -> None:
     st.lists(st.integers(1, 30), min_size=2, max_size=5),
     st.integers(1, 12),
     st.integers(1, 90),
-    st.sampled_from(["drop", "pad", "short"]),
     st.sampled_from(["exact", "average"]),
 )
-def test_every_row_before_any_repeat_across_epochs(
-    sizes: list[int], batch: int, draws: int, tail: Any, mode: Any
-) -> None:
+def test_every_row_before_any_repeat_across_epochs(sizes: list[int], batch: int, draws: int, mode: Any) -> None:
     columns = {"task": np.arange(len(sizes)).repeat(sizes)}
     draws = max(draws, batch)
-    sampler = BalancedSampler(columns, batch, by="task", mode=mode, num_samples=draws, tail=tail, rotate=True)
+    sampler = BalancedSampler(columns, batch, by="task", mode=mode, num_samples=draws, rotate=True)
     counts = np.zeros(sum(sizes), int)
     for batch_rows in epochs(sampler, 4):
         np.add.at(counts, batch_rows, 1)
         for rows in sampler.strata.rows:
             assert np.ptp(counts[rows]) <= 1
-    expected = {"drop": draws // batch * batch, "pad": -(-draws // batch) * batch, "short": draws}[tail]
-    assert counts.sum() == 4 * expected
-
-
-def test_without_replacement_an_epoch_repeats_nothing() -> None:
-    columns = uneven()
-    sampler = BalancedSampler(columns, 8, replacement=False, epoch="minority_once")
-    first, second = list(sampler), list(sampler)
-    assert len(first) == 7  # 7 rows of the scarcest stratum, one in every batch
-    for epoch in (first, second):
-        assert np.bincount(rows_of(epoch)).max() == 1
-    assert set(rows_of(first).tolist()) != set(rows_of(second).tolist())
-
-
-@pytest.mark.parametrize("tail", ["drop", "pad", "short"])
-@pytest.mark.parametrize("target", ["uniform", 0.3])
-def test_minority_once_fits_without_replacement(tail: Any, target: Any) -> None:
-    columns = table({("a", True): 11, ("a", False): 41, ("b", True): 12, ("b", False): 33})
-    sampler = BalancedSampler(columns, 5, target=target, replacement=False, epoch="minority_once", tail=tail)
-    for _ in range(3):
-        assert np.bincount(rows_of(list(sampler))).max() == 1
+    assert counts.sum() == 4 * (draws // batch * batch)
 
 
 def test_epoch_lengths() -> None:
     columns = {"task": np.repeat(["a", "b"], [10, 90])}
-    length = {
-        epoch: BalancedSampler(columns, 4, by="task", epoch=epoch).shape.draws
-        for epoch in ("rows", "minority_once", "majority_once", 48)
-    }
-    assert length == {"rows": 100, "minority_once": 20, "majority_once": 180, 48: 48}
-    assert len(BalancedSampler(columns, 4, by="task", num_samples=48)) == 12
+    assert len(BalancedSampler(columns, 4, by="task")) == 25
+    assert len(BalancedSampler(columns, 4, by="task", num_samples=50)) == 12
 
 
 def test_shares_of_tasks_stay_equal_when_a_label_is_missing() -> None:
@@ -169,28 +131,11 @@ def test_shares_of_tasks_stay_equal_when_a_label_is_missing() -> None:
     assert sampler.strata.labels == (("a", False), ("a", True), ("b", False))
 
 
-def test_targets() -> None:
-    columns = table({("a", True): 1, ("a", False): 3, ("b", True): 4, ("b", False): 12})
-    share = {
-        target: BalancedSampler(columns, 20, target=target)._plan.shares
-        for target in ("uniform", "natural", 0.0, 1.0, 0.5)
-    }
-    np.testing.assert_allclose(share["uniform"], 0.25)
-    np.testing.assert_allclose(share["natural"], [0.15, 0.05, 0.6, 0.2])
-    np.testing.assert_allclose(share[0.0], share["uniform"])
-    np.testing.assert_allclose(share[1.0], share["natural"])
-    assert (share[0.5] > np.minimum(share["uniform"], share["natural"]) - 1e-9).all()
-    assert (share[0.5] < np.maximum(share["uniform"], share["natural"]) + 1e-9).all()
-    weights = {("a", True): 1, ("a", False): 1, ("b", True): 3, ("b", False): 5}
-    np.testing.assert_allclose(BalancedSampler(columns, 10, target=weights)._plan.shares, [0.1, 0.1, 0.5, 0.3])
-
-
 @pytest.mark.parametrize("mode", ["exact", "average"])
-@pytest.mark.parametrize("tail", ["drop", "short"])
-def test_ranks_share_one_global_batch(mode: Any, tail: Any) -> None:
+def test_ranks_share_one_global_batch(mode: Any) -> None:
     """The union over ranks is the same for every number of ranks, and each rank has its part of every stratum."""
     columns = uneven()
-    options: dict[str, Any] = {"mode": mode, "tail": tail, "num_samples": 24 * 9 + 12}
+    options: dict[str, Any] = {"mode": mode, "num_samples": 24 * 9 + 12}
     alone = epochs(BalancedSampler(columns, 24, **options), 2)
     for world in (2, 3, 4, 8):
         ranks = [BalancedSampler(columns, 24 // world, rank=r, world_size=world, **options) for r in range(world)]
@@ -270,7 +215,7 @@ def test_kinds_of_tables(kind: str) -> None:
 def test_more_rows_than_float32_can_count() -> None:
     rows = 2**24 + 1000
     columns = {"task": (np.arange(rows) % 5).astype(np.int8), "success": np.arange(rows) % 7 == 0}
-    sampler = BalancedSampler(columns, 250, replacement=True)
+    sampler = BalancedSampler(columns, 250)
     drawn = rows_of(list(islice(sampler, 40)))
     assert (np.bincount(code_of(sampler, drawn), minlength=10) == 1000).all()
     assert drawn.max() > 2**24 - 2**22
@@ -292,19 +237,15 @@ def test_twenty_million_rows() -> None:
 
 def test_report() -> None:
     columns = table({("a", True): 5, ("a", False): 95})
-    sampler = BalancedSampler(columns, 10)
-    report = sampler.describe(draws=1000)
+    report = BalancedSampler(columns, 10, num_samples=1000).describe()
     won = report.strata[1]
     assert (won.stratum, won.rows, won.natural, won.target) == ("task=a, success=True", 5, 0.05, 0.5)
     assert (won.draws, won.repeats, won.weight) == (500, 100, 0.1)
     (warning,) = report.warnings
     assert "5 rows of task=a, success=True" in warning
     assert warning in str(report)
-    assert sampler.describe().warnings == ()
+    assert BalancedSampler(columns, 10).describe().warnings == ()
     assert report.to_frame().draws.sum() == 1000
-    rows = rows_of(list(BalancedSampler(columns, 10, num_samples=10_000)))
-    weights = sampler.importance_weights(rows)
-    assert np.average(columns["success"][rows], weights=weights) == pytest.approx(0.05)
 
 
 def refused(match: str, columns: Any = None, **arguments: Any) -> InputError:
@@ -348,18 +289,8 @@ def test_a_batch_smaller_than_the_strata() -> None:
         ("batch_size=2.5", {"batch_size": 2.5}),
         ("seed=-1", {"seed": -1}),
         ("mode='best'", {"mode": "best"}),
-        ("replacement=1", {"replacement": 1}),
-        ("tail='wrap'", {"tail": "wrap"}),
         ("on_empty='skip'", {"on_empty": "skip"}),
-        ("epoch='twice'", {"epoch": "twice"}),
-        ("epoch=0", {"num_samples": 0}),
-        ("both given", {"epoch": 8, "num_samples": 8}),
-        ("target='fair'", {"target": "fair"}),
-        ("target=1.5", {"target": 1.5}),
-        ("target=nan", {"target": float("nan")}),
-        ("no weight for the stratum task=grasp, success=False", {"target": {("grasp", True): 1}}),
-        ("which is no stratum", {"by": "success", "target": {True: 1, False: 1, "maybe": 1}}),
-        ("not a positive number", {"by": "success", "target": {True: 1, False: 0}}),
+        ("num_samples=0", {"num_samples": 0}),
         ("no column 'tusk'", {"by": ("tusk",)}),
         ("different columns", {"by": ("task", "task")}),
         ("different columns", {"by": ()}),
@@ -367,13 +298,10 @@ def test_a_batch_smaller_than_the_strata() -> None:
         ("belong together", {"rank": 0}),
         ("does not fill one batch", {"num_samples": 4}),
         (
-            "last batch of an epoch has 1 rows for 2 ranks",
-            {"num_samples": 17, "tail": "short", "rank": 0, "world_size": 2},
+            "too small for exact batches",
+            {"columns": {"task": np.arange(20_000)}, "by": "task", "batch_size": 1, "rotate": True},
         ),
-        ('needs mode="exact"', {"mode": "average", "replacement": False}),
-        ("which has 7 rows", {"replacement": False}),
-        ("too small for exact batches", {"by": "success", "target": {True: 1e-9, False: 1}, "rotate": True}),
-        ("is no table", {"columns": 5}),
+        ("is not a table", {"columns": 5}),
         ("has no rows", {"columns": {"task": [], "success": []}}),
         ("missing values", {"columns": {"task": ["a", None], "success": [True, False]}}),
         ("differ in length", {"columns": {"task": ["a", "b"], "success": [True]}}),
@@ -390,7 +318,6 @@ def test_mixed_splits_are_refused() -> None:
     BalancedSampler(columns, 8)
     columns["split"][3] = "val"
     refused("mixes the splits train, val", columns)
-    BalancedSampler(columns, 8, across_splits=True)
 
 
 def test_import_needs_no_torch() -> None:

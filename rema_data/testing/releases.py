@@ -1,4 +1,4 @@
-"""Small synthetic releases, for tests of whatever reads one. No simulator is needed, and nothing in them is physics."""
+"""Small synthetic releases, for tests of code that reads one. They need no simulator; nothing in them is physics."""
 
 from __future__ import annotations
 
