@@ -12,10 +12,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from baselines.devices import check_players
 from baselines.rounds.behaviour import BehaviourPolicies
 from baselines.rounds.chunk import CHUNK_EPISODES, EncodedChunk, cut
-from baselines.rounds.planned import CollectionPlan
+from baselines.rounds.plan import CollectionPlan
 from baselines.rounds.play import BATCH, Player
 from baselines.rounds.work import WorkFolder, work_path
 from evaluator.engines import Engine, make_engine
@@ -220,7 +219,7 @@ class _Collection:
             shutil.rmtree(self.work, ignore_errors=True)
             return found
         self.check_name()
-        check_players(self.plan.blocks, str(self.plan.path))
+        self.plan.check_devices()
         # Episodes made by other code must not be mixed; a finished release is not affected by it.
         identity = self.data_identity() | {"code": self.backend.observation_hash}
         with WorkFolder.locked(self.work, identity) as work:

@@ -1,4 +1,4 @@
-"""``rema collect``: run a collection plan and seal a release."""
+"""``rema collect``: run a collection plan and seal a release; ``rema rounds``: carry out a recursion."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import click
 if TYPE_CHECKING:
     from baselines.rounds.collect import Collected
     from baselines.rounds.estimate import Estimate
-    from baselines.rounds.planned import BlockPlan
+    from baselines.rounds.plan import BlockPlan
 
-__all__ = ["collect"]
+__all__ = ["collect", "rounds"]
 
 
 @click.command()
@@ -66,6 +66,54 @@ def collect(
 
         register(done.release.manifest)
     _print_done(done, as_json)
+
+
+@click.command()
+@click.argument("plan", type=click.Path(path_type=Path))
+@click.option(
+    "--output", type=click.Path(path_type=Path), default=Path("releases"), show_default=True, help="Folder of releases."
+)
+@click.option("--stages", type=click.IntRange(min=1), help="Stop after so many stages.")
+@click.option("--network", metavar="FOLDER/NAME", help="Train this network of a sealed round, and nothing else.")
+@click.option("--workers", type=click.IntRange(min=1), help="Simulation processes.  [default: one a core]")
+@click.option("--register", "publishing", is_flag=True, help="Then enter release and networks in the manifests.")
+@click.option("--device", default="cpu", show_default=True, help="Of the trainings.")
+def rounds(
+    plan: Path,
+    output: Path,
+    stages: int | None,
+    network: str | None,
+    workers: int | None,
+    publishing: bool,
+    device: str,
+) -> None:
+    """Collect, train, and collect with what was trained, as PLAN says, a TOML file.
+
+    Every stage leaves a sealed release or a checkpoint, and is skipped when that is there: run the same command again
+    after any interruption.
+    """
+    from baselines.rounds.recursion import Stage, publish, recurse, train_network
+    from baselines.rounds.recursion_plan import load_recursion
+    from evaluator.cli.progress import StderrProgress
+
+    def show(stage: Stage) -> None:
+        how = "was there" if stage.already else f"done in {stage.seconds:.0f} s"
+        click.echo(f"round {stage.round}: {stage.what} {how}")
+
+    wanted = load_recursion(plan)
+    with StderrProgress() as progress:
+        if network is not None:
+            show(train_network(wanted, output, network, progress=progress, device=device))
+            return
+        left = stages
+        for stage in recurse(wanted, output, progress=progress, workers=workers, device=device):
+            show(stage)
+            if left is not None and not stage.already:
+                left -= 1
+            if left == 0:
+                break
+    if publishing:
+        publish(wanted, output)
 
 
 def _print_done(done: Collected, as_json: bool) -> None:

@@ -6,7 +6,6 @@ import json
 import math
 import shutil
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +17,16 @@ from baselines.tae.checkpoint import Checkpoint
 from baselines.tae.network import TaeNetwork
 from baselines.train.config import TrainingConfig
 from baselines.train.data import open_data, prepared
+from baselines.train.report import TrainingReport
 from baselines.train.result import DIVERGED, DivergedError, Trained, check_network_name, save_best, trained
 from baselines.train.state import TrainingState, locked, read_state, state_path, write_state
 from baselines.train.validation import pixel_logits, validate
 from evaluator.run.environment import source_digest
 from rema_data.augment import Augment
 from rema_data.loader.release import Release
+from rema_data.progress import Progress, Silent
 from rema_data.storage import write_atomic
+from rema_data.validation import plain
 
 __all__ = ["DivergedError", "Trained", "train", "trained"]
 
@@ -33,7 +35,6 @@ _BETAS = (0.9, 0.95)
 """Of Adam, as AdaGrasp has them."""
 _CODE = ("baselines.tae", "baselines.train", "rema_data")
 """What decides the weights: a training that was stopped is not taken up by other code."""
-Report = Callable[[int, dict[str, Any]], None]
 
 
 def train(
@@ -44,7 +45,7 @@ def train(
     *,
     device: str = "cpu",
     deterministic: bool = False,
-    report: Report | None = None,
+    progress: Progress | None = None,
     save_every: int | None = None,
 ) -> Trained:
     """Train a network, or go on with a training that was interrupted, and write its best checkpoint.
@@ -59,10 +60,8 @@ def train(
     device : str
     deterministic : bool
         Refuse operations whose result may differ between two runs on one device.
-    report : callable, optional
-        Called after every update with the number of updates done and ``{"loss": ..., "samples": ...}``, the loss still
-        on the device; after a validation with its measures and the speed since the one before; and with ``{"resumed":
-        ..., "threads": ...}`` where an interrupted training goes on.
+    progress : Progress, optional
+        Told of every update, and in words of the loss, every validation, and a training that is resumed.
     save_every : int, optional
         Updates between two saved states; those of a validation by default.
 
@@ -84,7 +83,7 @@ def train(
     done = trained(release, config, folder, name)
     if done is not None:
         return done
-    run = _Training(release, config, folder, name, where, report)
+    run = _Training(release, config, folder, name, where, progress or Silent())
     before = torch.are_deterministic_algorithms_enabled()
     torch.use_deterministic_algorithms(deterministic)
     try:
@@ -105,10 +104,10 @@ class _Training:
         folder: Path,
         name: str,
         device: torch.device,
-        report: Report | None,
+        progress: Progress,
     ) -> None:
         self.release, self.config, self.folder, self.name = release, config, folder, name
-        self.device, self.report = device, report
+        self.device, self.progress = device, progress
         self.work = state_path(folder, name)
         self.data = open_data(release, config)
         self.augment = Augment(self.data.train, rotate=config.rotate, mirror="pushes" if config.mirror else "none")
@@ -127,13 +126,14 @@ class _Training:
     @property
     def identity(self) -> dict[str, Any]:
         return {
-            "training": self.config.to_dict(),
+            "training": plain(self.config),
             "release": self.release.fingerprint,
             "device": self.device.type,
             "code": self.code,
         }
 
     def go(self, save_every: int) -> Trained:
+        self.report = TrainingReport(self.progress, f"train {self.folder.name}/{self.name}", self.config.updates)
         self.resume()
         batches = self.data.batches()
         started, waiting, before = time.perf_counter(), 0.0, self.update
@@ -143,19 +143,15 @@ class _Training:
             waiting += time.perf_counter() - asked
             self.losses.append(self.step(samples))
             self.update += 1
-            if self.report is not None:
-                self.report(self.update, {"loss": self.losses[-1], "samples": self.config.batch_size})
+            self.report.updated(self.losses[-1], self.config.batch_size)
             last = self.update == self.config.updates
             validating = last or self.update % self.config.validate_every == 0
             if validating or self.update % save_every == 0:
                 self.check()
             if validating:
                 took = time.perf_counter() - started
-                speed = {
-                    "samples_per_second": (self.update - before) * self.config.batch_size / took,
-                    "waiting_share": waiting / took,
-                }
-                self.validate(speed)
+                speed = (self.update - before) * self.config.batch_size / took
+                self.report.validated(self.validate(), speed, waiting / took)
                 started, waiting, before = time.perf_counter(), 0.0, self.update
             if validating or self.update % save_every == 0:
                 self.save()
@@ -202,23 +198,21 @@ class _Training:
             update=update,
         )
 
-    def validate(self, speed: dict[str, float]) -> None:
+    def validate(self) -> dict[str, Any]:
+        """Measures of the present weights, which become the best ones or do not."""
         try:
             measures = validate(self.network, self.data.validation, self.device)
         except DivergedError as error:
             raise self.diverged(f"after update {self.update} {error.message}", self.update) from error
         entry = {"update": self.update, "training_loss": float(torch.stack(self.losses).mean()), **measures}
         self.losses = []
-        self.history.append(
-            entry
-        )  # without the speed: the file counts among a policy's bytes, equal for equal trainings
+        self.history.append(entry)  # without speeds: its file is part of a policy, equal for equal trainings
         if self.best is None or _rank(measures) > _rank(self.best):
             self.best = {"update": self.update, **measures, "threads": sorted(self.threads)}
             self.best_weights = {key: tensor.detach().cpu().clone() for key, tensor in self.weights().items()}
         lines = "".join(json.dumps(row) + "\n" for row in self.history)
         write_atomic(self.folder / f"{self.name}.metrics.jsonl", lines)
-        if self.report is not None:
-            self.report(self.update, entry | speed)
+        return entry
 
     def weights(self) -> dict[str, Tensor]:
         return dict(self.network.state_dict())
@@ -264,8 +258,7 @@ class _Training:
         self.update, self.history, self.best = state.update, state.facts["history"], state.facts["best"]
         self.best_weights = part["best"]
         self.threads |= set(state.facts["threads"])
-        if self.report is not None:
-            self.report(self.update, {"resumed": self.update, "threads": sorted(self.threads)})
+        self.report.resumed(self.update, sorted(self.threads))
 
     def save_best(self, folder: Path) -> Checkpoint:
         assert self.best is not None

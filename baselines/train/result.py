@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shlex
 import shutil
@@ -19,6 +18,7 @@ from baselines.train.state import state_path
 from evaluator.run.environment import code_commit
 from rema_data.errors import InputError, IntegrityError, MissingFileError, RemaError, RunMismatchError
 from rema_data.loader.release import Release
+from rema_data.validation import plain
 
 __all__ = ["DIVERGED", "NAME", "DivergedError", "Trained", "check_network_name", "save_best", "trained"]
 
@@ -79,8 +79,7 @@ def trained(release: Release, config: TrainingConfig, folder: Path, name: str) -
         files = " ".join(shlex.quote(str(folder / f"{name}{end}")) for end in (".json", ".safetensors"))
         hint = f"delete it to train it again: rm -f {files}; or choose another --output or --name"
         raise type(error)(error.message, hint=hint, path=str(folder / name)) from error
-    wanted = json.loads(json.dumps(config.to_dict()))
-    if about.release_sha256 != release.fingerprint or about.training != wanted:
+    if about.release_sha256 != release.fingerprint or about.training != plain(config):
         raise RunMismatchError(
             f"{folder / name} is a network of another training (release {about.release}, {about.updates:,} updates)",
             hint="choose another --output or --name",
@@ -124,7 +123,7 @@ def save_best(
         architecture=config.architecture,
         release=release.name,
         release_sha256=release.fingerprint,
-        training=json.loads(json.dumps(config.to_dict())),
+        training=plain(config),
         metrics={key: value for key, value in best.items() if key != "update"},
         updates=best["update"],
         commit=_commit(),
