@@ -12,7 +12,6 @@ import click
 if TYPE_CHECKING:
     from baselines.rounds.collect import Collected
     from baselines.rounds.estimate import Estimate
-    from baselines.rounds.plan import BlockPlan
 
 __all__ = ["collect", "rounds"]
 
@@ -117,6 +116,8 @@ def rounds(
 
 
 def _print_done(done: Collected, as_json: bool) -> None:
+    from rich.filesize import decimal
+
     manifest = done.release.manifest
     if as_json:
         facts = {"release": manifest.name, "path": str(done.release.path), "sha256": manifest.sha256}
@@ -126,13 +127,9 @@ def _print_done(done: Collected, as_json: bool) -> None:
     what = "was sealed before, by the same plan" if done.already else "is sealed"
     click.echo(
         f"{done.release.path} {what}: {counts['episodes']:,} episodes, {counts['steps']:,} steps, "
-        f"{_size(counts['bytes'])}"
+        f"{decimal(counts['bytes'])}"
     )
     click.echo(f"sha256 {manifest.sha256}")
-
-
-def _policies(block: BlockPlan) -> list[str]:
-    return [use.spec.name for use in block.policies]
 
 
 def _print_expected(name: str, expected: Sequence[Estimate], as_json: bool) -> None:
@@ -148,7 +145,7 @@ def _print_expected(name: str, expected: Sequence[Estimate], as_json: bool) -> N
         {
             **entry.block.key._asdict(),
             "episodes": entry.block.episodes,
-            "policies": _policies(entry.block),
+            "policies": [use.spec.name for use in entry.block.policies],
             "seconds": round(entry.seconds, 3),
             "bytes": entry.bytes,
         }
@@ -160,28 +157,23 @@ def _print_expected(name: str, expected: Sequence[Estimate], as_json: bool) -> N
 def _print_table(name: str, expected: Sequence[Estimate], totals: dict[str, Any]) -> None:
     from rich import box
     from rich.console import Console
+    from rich.filesize import decimal
     from rich.table import Table
 
-    table = Table(
-        title=f"{name}: not collected",
-        title_justify="left",
-        title_style="bold",
-        box=box.SIMPLE_HEAD,
-        pad_edge=False,
-        padding=(0, 1, 0, 0),
-    )
+    click.echo(f"{name}: not collected")
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     for column in ("round", "task", "split", "policy", "picks", "episodes", "time", "size"):
         right = column in ("episodes", "time", "size")
         names = column in ("policy", "picks")
         table.add_column(column, justify="right" if right else "left", no_wrap=not names, overflow="fold")
     for entry in expected:
         block = entry.block
-        *picks, last = _policies(block)
+        *picks, last = (use.spec.name for use in block.policies)
         where = (str(block.key.round), block.key.task, block.key.split)
-        cost = (f"{block.episodes:,}", _duration(entry.seconds), _size(entry.bytes))
+        cost = (f"{block.episodes:,}", _duration(entry.seconds), decimal(entry.bytes))
         table.add_row(*where, last, ", ".join(dict.fromkeys(picks)), *cost)
     table.add_section()
-    cost = (f"{totals['episodes']:,}", _duration(totals["seconds"]), _size(totals["bytes"]))
+    cost = (f"{totals['episodes']:,}", _duration(totals["seconds"]), decimal(totals["bytes"]))
     table.add_row("all", "", "", "", "", *cost, style="bold")
     Console().print(table)
 
@@ -191,7 +183,3 @@ def _duration(seconds: float) -> str:
     if not minutes:
         return f"{rest} s"
     return f"{minutes} min {rest:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
-
-
-def _size(count: int) -> str:
-    return f"{count / 1e6:.1f} MB" if count >= 1e6 else f"{count / 1e3:.0f} kB"

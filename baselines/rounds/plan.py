@@ -53,7 +53,7 @@ from rema_data.schema import TASKS
 from rema_data.store.block import SPLITS, BlockKey
 from rema_data.validation import record, validated
 
-__all__ = ["About", "BlockPlan", "CollectionPlan", "PolicyUse", "Text", "load_plan", "read_plan", "read_toml", "reuses"]
+__all__ = ["BlockPlan", "CollectionPlan", "PolicyUse", "load_plan", "read_plan", "read_toml"]
 
 _HINT = "fix the plan; examples/collect_plan.toml shows how one is written"
 
@@ -281,7 +281,7 @@ def read_plan(content: dict[str, Any], path: Path, checkpoint: _Networks | None 
         where = f"rounds[{number}]"
         if reuses(table, path, where):
             if plan.parent is None:
-                raise _wrong(path, f"{where}.reuse", "has no parent to take the round from", 'name it: parent = "..."')
+                raise wrong(path, f"{where}.reuse", "has no parent to take the round from", 'name it: parent = "..."')
             reused.append(number)
             continue
         for task, values in validated(_Round, table, str(path), at=where, hint=_HINT).tasks.items():
@@ -289,7 +289,7 @@ def read_plan(content: dict[str, Any], path: Path, checkpoint: _Networks | None 
             counts = [(split, values.episodes[split]) for split in SPLITS if split in values.episodes]
             blocks += [BlockPlan(BlockKey(number, task, split), count, policies) for split, count in counts]
     if not blocks:
-        raise _wrong(path, "rounds", "collect nothing", "give at least one round without `reuse`")
+        raise wrong(path, "rounds", "collect nothing", "give at least one round without `reuse`")
     parent = plan.parent
     if parent is not None and (path.parent / parent).is_dir():
         parent = str(path.parent / parent)
@@ -301,7 +301,7 @@ def _policies(path: Path, where: str, task: str, values: _Task, networks: _Netwo
     """Which policy plays each step of a task."""
     before = len(TASKS[task]) - 1
     if before and values.picks is None:
-        raise _wrong(path, f"{where}.picks", "is missing", 'name the policy of the first steps: picks = "reference"')
+        raise wrong(path, f"{where}.picks", "is missing", 'name the policy of the first steps: picks = "reference"')
     last = _policy(path, f"{where}.policy", values.policy, networks)
     if not before or values.picks is None:
         return (last,)
@@ -318,9 +318,10 @@ def _policy(path: Path, where: str, use: _Policy, networks: _Networks) -> Policy
         raise type(error)(message, hint=error.hint, **{**error.facts, "field": where}) from error
     if found is None and spec.name in LEARNED:
         hint = 'name them: { code = "tae", checkpoint = "FOLDER" }'
-        raise _wrong(path, where, f"is {spec.name}, which has no networks of its own", hint)
+        raise wrong(path, where, f"is {spec.name}, which has no networks of its own", hint)
     return PolicyUse(spec, found, use.device)
 
 
-def _wrong(path: Path, field: str, what: str, hint: str) -> InputError:
+def wrong(path: Path, field: str, what: str, hint: str) -> InputError:
+    """The error about one field of a plan."""
     return InputError(f"{path}: {field} {what}", hint=hint, path=str(path), field=field)

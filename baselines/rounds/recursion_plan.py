@@ -28,18 +28,21 @@ Round n is sealed as ``NAME-round-n``, the last one as ``NAME``: each continues 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import StringConstraints
 
 from baselines.devices import LEARNED
-from baselines.rounds.plan import About, CollectionPlan, Text, read_plan, read_toml, reuses
+from baselines.rounds.plan import About, CollectionPlan, Text, read_plan, read_toml, reuses, wrong
 from baselines.train.config import TrainingConfig
 from baselines.train.result import NAME
 from evaluator.policy.shipped import CHECKPOINTS
-from rema_data.errors import InputError, MissingFileError
+from rema_data.errors import MissingFileError
+from rema_data.store.block import SPLITS
 from rema_data.validation import record, validated
 
 __all__ = ["NetworkPlan", "RecursionPlan", "RoundPlan", "load_recursion", "networks_folder"]
@@ -202,10 +205,9 @@ def load_recursion(path: Path) -> RecursionPlan:
     folders = {network.folder for entry in plan.rounds for network in entry.networks}
     for policy, folder in plan.policies.items():
         if policy not in LEARNED or folder not in folders:
-            raise InputError(
-                f"{path}: policies.{policy} = {folder!r} is not a learned policy with networks that a round trains",
-                hint=f"policies: {', '.join(sorted(LEARNED))}; networks: {', '.join(sorted(folders)) or 'none'}",
-            )
+            what = f"is {folder!r}: not a learned policy with networks that a round trains"
+            hint = f"policies: {_listed(LEARNED)}; networks: {_listed(folders)}"
+            raise wrong(path, f"policies.{policy}", what, hint)
     _check_data(plan)
     return plan
 
@@ -215,33 +217,40 @@ def _rounds(path: Path, own: _Recursion) -> tuple[RoundPlan, ...]:
     for number, table in enumerate(own.rounds, 1):
         where = f"rounds[{number}]"
         collection = {key: value for key, value in table.items() if key != "networks"}
-        networks = _networks(path, where, table)
         used = {network.folder for earlier in rounds for network in earlier.networks}
-        _check_places(path, number, networks, used)
+        networks = _networks(path, where, table, used)
         if reuses(collection, path, where):
             if own.begins_with is None:
-                raise InputError(f"{path}: {where}.reuse lacks its source", hint='write begins_with = "..."')
+                raise wrong(path, f"{where}.reuse", "lacks its source", 'write begins_with = "..."')
             if any(earlier.collection is not None for earlier in rounds):
-                raise InputError(
-                    f"{path}: {where} is reused after a round that is collected, and would not hold it",
-                    hint="rounds that are reused come first",
-                )
+                what = "is reused after a round that is collected, and would not hold it"
+                raise wrong(path, where, what, "rounds that are reused come first")
             rounds.append(RoundPlan(number, f"{own.begins_with}-round-{number}", None, networks))
-        else:
-            _check_players(path, number, collection, {f"{own.name}/{folder}" for folder in used}, own.begins_with)
-            release = own.name if number == len(own.rounds) else f"{own.name}-round-{number}"
-            rounds.append(RoundPlan(number, release, collection, networks))
+            continue
+        release = own.name if number == len(own.rounds) else f"{own.name}-round-{number}"
+        entry = RoundPlan(number, release, collection, networks)
+        known = {f"{own.name}/{folder}" for folder in used}
+        for place in entry.played_by:
+            if place not in known and not (own.begins_with and place.startswith(f"{own.begins_with}/")):
+                what = f"is played by {place}, which no earlier round trains"
+                raise wrong(path, where, what, f"networks by then: {_listed(known)}")
+        rounds.append(entry)
     return tuple(rounds)
 
 
-def _networks(path: Path, where: str, table: dict[str, Any]) -> tuple[NetworkPlan, ...]:
+def _networks(path: Path, where: str, table: dict[str, Any], used: set[str]) -> tuple[NetworkPlan, ...]:
     """The networks of a round: where each is written, and how it is trained."""
     given = {key: value for key, value in table.items() if key == "networks"}
-    found = []
+    found: list[NetworkPlan] = []
     for number, values in enumerate(validated(_Trained, given, str(path), at=where, hint=_HINT).networks, 1):
         at = f"{where}.networks[{number}]"
         place = {key: values.pop(key) for key in ("network",) if key in values}
         folder, _, name = validated(_Place, place, str(path), at=at, hint=_PLACE).network.partition("/")
+        # A folder of networks belongs to one round: those of an earlier one may have played, and stay what they were.
+        if folder in used or (folder, name) in {(one.folder, one.name) for one in found}:
+            what = f"{folder}/{name} is trained twice, or into the folder of an earlier round"
+            hint = "give every round folders of its own, and every network in them its own name"
+            raise wrong(path, f"{where}.networks:", what, hint)
         found.append(NetworkPlan(folder, name, validated(TrainingConfig, values, str(path), at=at, hint=_HINT)))
     return tuple(found)
 
@@ -254,28 +263,8 @@ def _uses(table: Any) -> list[dict[str, Any]]:
     return here + [use for value in table.values() for use in _uses(value)]
 
 
-def _check_players(path: Path, number: int, table: dict[str, Any], known: set[str], base: str | None) -> None:
-    for use in _uses(table):
-        place = str(use["checkpoint"])
-        if place not in known and not (base and place.startswith(f"{base}/")):
-            listed = ", ".join(sorted(known)) or "none"
-            raise InputError(
-                f"{path}: rounds[{number}] is played by {place}, which no earlier round trains",
-                hint=f"networks by then: {listed}",
-                checkpoint=place,
-            )
-
-
-def _check_places(path: Path, number: int, networks: tuple[NetworkPlan, ...], used: set[str]) -> None:
-    """A folder of networks belongs to one round: those of an earlier one may have played, and stay what they were."""
-    places = [f"{network.folder}/{network.name}" for network in networks]
-    for network, place in zip(networks, places, strict=True):
-        if network.folder in used or places.count(place) > 1:
-            raise InputError(
-                f"{path}: rounds[{number}].networks: {place} is trained twice, or into the folder of an earlier round",
-                hint="give every round folders of its own, and every network in them its own name",
-                network=place,
-            )
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(sorted(names)) or "none"
 
 
 def _check_data(plan: RecursionPlan) -> None:
@@ -286,12 +275,10 @@ def _check_data(plan: RecursionPlan) -> None:
         if entry.collection is not None:
             collected |= {(block.key.task, block.key.split) for block in plan.outline(entry.number).blocks}
         for network in () if reused else entry.networks:
-            for task in network.config.tasks:
-                for split in ("train", "val"):
-                    if (task, split) not in collected:
-                        raise InputError(
-                            f"{plan.path}: rounds[{entry.number}].networks: {network.folder}/{network.name} learns "
-                            f"{task}, of which no round so far has episodes in the split {split}",
-                            hint="collect them, or leave the task out",
-                            network=f"{network.folder}/{network.name}",
-                        )
+            for task, split in product(network.config.tasks, SPLITS):
+                if (task, split) not in collected:
+                    what = (
+                        f"{network.folder}/{network.name} learns {task}, of which no round so far has episodes in the"
+                    )
+                    hint = "collect them, or leave the task out"
+                    raise wrong(plan.path, f"rounds[{entry.number}].networks:", f"{what} split {split}", hint)

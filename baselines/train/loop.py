@@ -13,15 +13,15 @@ import torch
 from torch import Tensor
 
 from baselines.devices import training_device
-from baselines.tae.checkpoint import Checkpoint
+from baselines.tae.checkpoint import Checkpoint, save_checkpoint
 from baselines.tae.network import TaeNetwork
 from baselines.train.config import TrainingConfig
 from baselines.train.data import open_data, prepared
 from baselines.train.report import TrainingReport
-from baselines.train.result import DIVERGED, DivergedError, Trained, check_network_name, save_best, trained
+from baselines.train.result import DIVERGED, DivergedError, Trained, check_network_name, trained
 from baselines.train.state import TrainingState, locked, read_state, state_path, write_state
 from baselines.train.validation import pixel_logits, validate
-from evaluator.run.environment import source_digest
+from evaluator.run.environment import code_commit, source_digest
 from rema_data.augment import Augment
 from rema_data.loader.release import Release
 from rema_data.progress import Progress, Silent
@@ -107,7 +107,8 @@ class _Training:
         progress: Progress,
     ) -> None:
         self.release, self.config, self.folder, self.name = release, config, folder, name
-        self.device, self.progress = device, progress
+        self.device = device
+        self.report = TrainingReport(progress, f"train {folder.name}/{name}", config.updates)
         self.work = state_path(folder, name)
         self.data = open_data(release, config)
         self.augment = Augment(self.data.train, rotate=config.rotate, mirror="pushes" if config.mirror else "none")
@@ -120,20 +121,15 @@ class _Training:
         self.history: list[dict[str, Any]] = []
         self.best: dict[str, Any] | None = None
         self.best_weights: dict[str, Tensor] = {}
-        self.code = {name: source_digest(name) for name in _CODE}
+        self.identity = {
+            "training": plain(config),
+            "release": release.fingerprint,
+            "device": device.type,
+            "code": {name: source_digest(name) for name in _CODE},
+        }
         self.threads = {torch.get_num_threads()}  # equal weights need equal sums, which the threads cut in parts
 
-    @property
-    def identity(self) -> dict[str, Any]:
-        return {
-            "training": plain(self.config),
-            "release": self.release.fingerprint,
-            "device": self.device.type,
-            "code": self.code,
-        }
-
     def go(self, save_every: int) -> Trained:
-        self.report = TrainingReport(self.progress, f"train {self.folder.name}/{self.name}", self.config.updates)
         self.resume()
         batches = self.data.batches()
         started, waiting, before = time.perf_counter(), 0.0, self.update
@@ -155,7 +151,7 @@ class _Training:
                 started, waiting, before = time.perf_counter(), 0.0, self.update
             if validating or self.update % save_every == 0:
                 self.save()
-        return self.finish()
+        return Trained(self.folder, self.name, self.save_best(self.folder), already=False)
 
     def step(self, samples: Any) -> Tensor:
         """One update; the loss, still on the device."""
@@ -261,13 +257,23 @@ class _Training:
         self.report.resumed(self.update, sorted(self.threads))
 
     def save_best(self, folder: Path) -> Checkpoint:
+        """Write the best weights, with their card."""
         assert self.best is not None
         present = set(self.data.train.table["skill"])
         skills = tuple(name for name in self.config.learned_skills if name in present)
-        return save_best(self.release, self.config, skills, folder, self.name, self.best_weights, self.best)
-
-    def finish(self) -> Trained:
-        return Trained(self.folder, self.name, self.save_best(self.folder), already=False)
+        commit = code_commit()
+        about = Checkpoint(
+            primitive=self.config.primitive,
+            skills=skills,
+            architecture=self.config.architecture,
+            release=self.release.name,
+            release_sha256=self.release.fingerprint,
+            training=plain(self.config),
+            metrics={key: value for key, value in self.best.items() if key != "update"},
+            updates=self.best["update"],
+            commit=f"{commit['commit'] or ''}{'+' if commit['dirty'] else ''}",
+        )
+        return save_checkpoint(folder, self.name, self.best_weights, about)
 
 
 def _rank(measures: dict[str, Any]) -> tuple[float, float]:

@@ -120,7 +120,10 @@ def written(folder: Path, *changes: tuple[str, str]) -> Path:
         (('policy = "random"', "reuse = true"), "rounds[1].episodes is not a known field"),
         (("[[rounds]]", "[[rounds]]\nreuse = true\n[[rounds]]"), "rounds[1].reuse lacks its source"),
         (("seed = 1", 'seed = 1\npolicies = { tae-joint = ["joint"] }'), "policies.tae-joint is ['joint']"),
-        (("seed = 1", 'seed = 1\npolicies = { tae-joint = "joined" }'), "policies.tae-joint = 'joined' is not"),
+        (
+            ("seed = 1", 'seed = 1\npolicies = { tae-joint = "joined" }'),
+            "policies.tae-joint is 'joined': not a learned policy",
+        ),
         (("seed = 1", 'seed = 1\nparent = "older"'), "parent is not a known field"),
         (("[[rounds.networks]]", "networks = 3\n[[rounds]]"), "rounds[1].networks is 3"),
         (("learning_rate = 3e-3", 'learning_rate = "3e-3"'), "learning_rate"),
@@ -133,7 +136,7 @@ def written(folder: Path, *changes: tuple[str, str]) -> Path:
         (("seed = 1", "seed = 1\nbegins_with = 5"), "begins_with is 5"),
         (
             ("seed = 1", 'seed = 1\npolicies = { tea-joint = "joint" }'),
-            "policies.tea-joint = 'joint' is not a learned policy",
+            "policies.tea-joint is 'joint': not a learned policy",
         ),
         (
             ("{ train = 200, val = 80 }", "{ train = 200 }"),
