@@ -39,8 +39,8 @@ def collect(
 ) -> None:
     """Play every episode of PLAN, a TOML file, and seal the release that it names.
 
-    A collection that was stopped, or killed, goes on where it was: run the same command again. A policy in the plan is
-    whatever `rema evaluate` takes.
+    To resume a collection that was stopped or killed, run the same command again. Policies are named as for
+    `rema evaluate`.
     """
     from baselines.rounds.plan import load_plan
     from evaluator.cli.progress import StderrProgress

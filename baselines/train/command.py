@@ -60,7 +60,7 @@ def train(
 ) -> None:
     """Train a TAE network: one labelled place and angle a sample, balanced over skill and success.
 
-    A training that was stopped, or killed, goes on where its last state was saved: run the same command again. The
+    To resume a training that was stopped or killed, from its last saved state, run the same command again. The
     weights with the best validation AUC become OUTPUT/NAME.safetensors, with a JSON file that says what they are.
     """
     from baselines.devices import training_device
