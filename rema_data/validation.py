@@ -84,8 +84,9 @@ def plain(value: Any) -> Any:
 
 
 def _place(location: tuple[int | str, ...]) -> str:
-    """``rounds[0].episodes.train``."""
-    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location if part not in ("", "[key]")).strip(".")
+    """``rounds[0].episodes.train``; pydantic marks an unusable key of a table with ``[key]``."""
+    parts = (part for part in location if part not in ("", "[key]"))
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in parts).strip(".")
 
 
 def _reason(item: Any) -> str:
