@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
@@ -14,9 +13,7 @@ from rema_data.errors import InputError
 if TYPE_CHECKING:
     import torch
 
-    from baselines.rounds.planned import BlockPlan
-
-__all__ = ["LEARNED", "check_players", "training_device"]
+__all__ = ["LEARNED", "inference_device", "training_device"]
 
 LEARNED = frozenset(
     name
@@ -48,29 +45,13 @@ def training_device(name: str) -> torch.device:
     return device
 
 
-def check_players(blocks: Iterable[BlockPlan], where: str) -> None:
-    """Raise where a learned policy of some blocks is to compute on a device that is not there.
-
-    Raises
-    ------
-    InputError
-    """
-    for block in blocks:
-        number = block.key.round
-        played = f"{where}: rounds[{number}] is played on the device"
-        for device in {use.device for use in block.policies if use.spec.name in LEARNED}:
-            if device != _OPENVINO:
-                try:
-                    training_device(device)
-                except InputError as error:
-                    raise InputError(f"{played} {device}: {error.message}", hint=error.hint, round=number) from error
-            elif find_spec(_OPENVINO) is None:
-                raise InputError(
-                    f"{played} openvino, and OpenVINO is not installed",
-                    hint='pip install "rema[openvino]", or write device = "cpu": slower, the same answers up to '
-                    "rounding",
-                    round=number,
-                )
+def inference_device(name: str) -> None:
+    """Raise an InputError where a network cannot be asked on a device of that name."""
+    if name != _OPENVINO:
+        training_device(name)
+    elif find_spec(_OPENVINO) is None:
+        hint = 'pip install "rema[openvino]", or write device = "cpu": slower, the same answers up to rounding'
+        raise InputError("OpenVINO is not installed", hint=hint, device=name)
 
 
 def _usable() -> list[str]:

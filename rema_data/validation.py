@@ -17,7 +17,7 @@ import pydantic.dataclasses
 
 from rema_data.errors import InputError, RemaError
 
-__all__ = ["record", "validated"]
+__all__ = ["plain", "record", "validated"]
 
 T = TypeVar("T")
 _STRICT = pydantic.ConfigDict(extra="forbid", strict=True, arbitrary_types_allowed=True)
@@ -36,7 +36,13 @@ def _adapter(kind: Any) -> pydantic.TypeAdapter[Any]:
 
 
 def validated(
-    kind: type[T], content: Any, where: str, *, hint: str = "fix the file", error: type[RemaError] = InputError
+    kind: type[T],
+    content: Any,
+    where: str,
+    *,
+    at: str = "",
+    hint: str = "fix the file",
+    error: type[RemaError] = InputError,
 ) -> T:
     """``content`` as a ``kind``.
 
@@ -48,6 +54,8 @@ def validated(
         As ``json.loads`` or ``tomllib.loads`` gives it.
     where : str
         The file or address that it came from, for messages.
+    at : str
+        Where in that file it stands, such as ``rounds[1]``: comes before the names of fields in messages.
     hint : str
         What to do about an error.
     error : type of RemaError
@@ -63,16 +71,22 @@ def validated(
         found: T = _adapter(kind).validate_json(json.dumps(content, default=str))  # type: ignore[arg-type]
         return found
     except pydantic.ValidationError as failure:
-        wrong = [(_place(item["loc"]), _reason(item)) for item in failure.errors(include_url=False)]
+        wrong = [(_place((at, *item["loc"])), _reason(item)) for item in failure.errors(include_url=False)]
         lines = [f"{field} {reason}" if field else reason for field, reason in wrong[:_MOST_NAMED]]
         if len(wrong) > _MOST_NAMED:
             lines.append(f"and {len(wrong) - _MOST_NAMED} more")
         raise error(f"{where}: {'; '.join(lines)}", hint=hint, path=where, field=wrong[0][0]) from failure
 
 
+def plain(value: Any) -> Any:
+    """A ``record`` as ``json.loads`` would give it: the inverse of ``validated``."""
+    return pydantic.TypeAdapter(type(value)).dump_python(value, mode="json")
+
+
 def _place(location: tuple[int | str, ...]) -> str:
-    """``rounds[0].episodes.train``."""
-    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).removeprefix(".")
+    """``rounds[0].episodes.train``; pydantic marks an unusable key of a table with ``[key]``."""
+    parts = (part for part in location if part not in ("", "[key]"))
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in parts).strip(".")
 
 
 def _reason(item: Any) -> str:
@@ -83,5 +97,5 @@ def _reason(item: Any) -> str:
         return "is not a known field"
     shown = value if len(value) <= 60 else f"{value[:57]}..."
     if kind == "value_error":
-        return str(item["ctx"]["error"])
+        return str(item["ctx"]["error"]).replace("\n", ": ")  # a RemaError with its hint
     return f"is {shown}: {item['msg'][0].lower()}{item['msg'][1:]}"

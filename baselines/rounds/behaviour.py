@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from baselines.rounds.planned import BlockPlan, PolicyUse
+from baselines.rounds.plan import BlockPlan, PolicyUse
 from evaluator.rollout.backend import Backend, PolicyProcess
 from rema_data.store.block import BlockKey
 

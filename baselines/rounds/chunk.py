@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from baselines.rounds.planned import BlockPlan
+from baselines.rounds.plan import BlockPlan
 from rema_data.schema import Episode
 from rema_data.store.block import BlockKey, EncodedMaps, encode_episodes
 from rema_data.store.tables import to_parquet

@@ -12,10 +12,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from baselines.devices import check_players
 from baselines.rounds.behaviour import BehaviourPolicies
 from baselines.rounds.chunk import CHUNK_EPISODES, EncodedChunk, cut
-from baselines.rounds.planned import CollectionPlan
+from baselines.rounds.plan import CollectionPlan
 from baselines.rounds.play import BATCH, Player
 from baselines.rounds.work import WorkFolder, work_path
 from evaluator.engines import Engine, make_engine
@@ -228,7 +227,7 @@ class _Collection:
             shutil.rmtree(self.work, ignore_errors=True)
             return found
         self.check_name()
-        check_players(self.plan.blocks, str(self.plan.path))
+        self.plan.check_devices()
         with WorkFolder.locked(self.work, self.work_identity()) as work:
             found = self.sealed()  # by a process that we may have waited for
             if found is None:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from baselines.rounds.behaviour import BehaviourPolicies
 from baselines.rounds.chunk import Chunk, EncodedChunk
-from baselines.rounds.planned import BlockPlan, CollectionPlan, PolicyUse
+from baselines.rounds.plan import BlockPlan, CollectionPlan, PolicyUse
 from baselines.rounds.play import Player
 from evaluator.engines import Engine, default_workers, engine_type, make_engine, worker_count
 from evaluator.runner import Backend, default_backend

@@ -7,27 +7,24 @@ command goes on after any interruption; within a stage, collection and training 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Protocol
 
-from baselines.devices import check_players, training_device
+from baselines.devices import training_device
 from baselines.rounds.collect import collect
-from baselines.rounds.notes import PLAYERS, STAGES, note
 from baselines.rounds.recursion_plan import NetworkPlan, RecursionPlan, RoundPlan, networks_folder
-from baselines.rounds.sealed import check_sealed, players_of
-from baselines.train.loop import Report, train, trained
+from baselines.rounds.sealed import PLAYERS, STAGES, check_sealed, note, players_of
+from baselines.train.loop import train, trained
 from evaluator.policy.shipped import CHECKPOINTS, publish_checkpoint
 from rema_data.errors import InputError, MissingFileError
-from rema_data.loader.release import Release, load
-from rema_data.progress import Progress
+from rema_data.loader.release import load
+from rema_data.progress import Progress, Silent
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, parse_manifest
 from rema_data.release.registry import register
 
-__all__ = ["Stage", "Watcher", "publish", "recurse", "train_network"]
+__all__ = ["Stage", "publish", "recurse", "train_network"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,42 +48,22 @@ class Stage:
     seconds: float
 
 
-class Watcher(Protocol):
-    """Where a recursion says how far it is."""
-
-    @property
-    def sink(self) -> Progress:
-        """Progress of collections."""
-        ...
-
-    def training(self, what: str, updates: int) -> Report:
-        """A training begins; what it is to report to."""
-        ...
-
-    def done(self, stage: Stage) -> None:
-        """A stage is done."""
-        ...
-
-
 def recurse(
     plan: RecursionPlan,
     releases: Path,
-    watcher: Watcher,
     *,
-    stages: int | None = None,
+    progress: Progress | None = None,
     workers: int | None = None,
     device: str = "cpu",
-) -> list[Stage]:
-    """Carry out a plan, from the first stage whose product is not there.
+) -> Iterator[Stage]:
+    """Carry out a plan, from the first stage whose product is not there, and yield every stage when it is done.
 
     Parameters
     ----------
     plan : RecursionPlan
     releases : Path
         Folder of releases; networks go to its ``checkpoints`` folder.
-    watcher : Watcher
-    stages : int, optional
-        Stop after so many stages that had something to do.
+    progress : Progress, optional
     workers : int, optional
         Simulation processes; every core by default.
     device : str
@@ -103,29 +80,24 @@ def recurse(
         A release or a network of that name is there, made by another plan: see ``check_sealed`` and ``trained`` for
         what is compared.
     """
-    recursion = _Recursion(plan, releases, watcher, workers, device)
+    recursion = _Recursion(plan, releases, progress, device, workers)
     for entry in plan.rounds:
         if not (releases / entry.release / MANIFEST).is_file():
             recursion.check_possible(entry)
-    done: list[Stage] = []
     for entry in plan.rounds:
-        work: list[Callable[[RoundPlan], Stage]] = [recursion.collect]
-        work += [partial(recursion.train, network=network) for network in entry.networks]
-        for carry_out in work:
-            stage = carry_out(entry)
-            done.append(stage)
-            watcher.done(stage)
-            if stages is not None and sum(not stage.already for stage in done) >= stages:
-                return done
-    return done
+        yield recursion.collect(entry)
+        for network in entry.networks:
+            yield recursion.train(entry, network)
 
 
-def train_network(plan: RecursionPlan, releases: Path, place: str, watcher: Watcher, device: str = "cpu") -> Stage:
+def train_network(
+    plan: RecursionPlan, releases: Path, place: str, *, progress: Progress | None = None, device: str = "cpu"
+) -> Stage:
     """Train one network of a plan alone, so that several machines, or processes, share the work of a round.
 
     Parameters
     ----------
-    plan, releases, watcher, device
+    plan, releases, progress, device
         As in ``recurse``.
     place : str
         ``FOLDER/NAME`` of the network.
@@ -141,15 +113,13 @@ def train_network(plan: RecursionPlan, releases: Path, place: str, watcher: Watc
     if place not in networks:
         raise InputError(f"{plan.path} has no network {place!r}", hint=f"it has: {', '.join(networks)}")
     entry, network = networks[place]
-    recursion = _Recursion(plan, releases, watcher, None, device)
+    recursion = _Recursion(plan, releases, progress, device)
     if recursion.sealed(entry) is None:
         raise MissingFileError(
             f"round {entry.number}, on which {place} is trained, is not sealed yet",
             hint=f"collect it first: rema rounds {plan.path}",
         )
-    stage = recursion.train(entry, network)
-    watcher.done(stage)
-    return stage
+    return recursion.train(entry, network)
 
 
 def publish(plan: RecursionPlan, releases: Path) -> None:
@@ -174,9 +144,16 @@ def publish(plan: RecursionPlan, releases: Path) -> None:
 
 
 class _Recursion:
-    def __init__(self, plan: RecursionPlan, releases: Path, watcher: Watcher, workers: int | None, device: str) -> None:
-        self.plan, self.releases, self.watcher = plan, releases, watcher
-        self.workers, self.device = workers, device
+    def __init__(
+        self,
+        plan: RecursionPlan,
+        releases: Path,
+        progress: Progress | None,
+        device: str,
+        workers: int | None = None,
+    ) -> None:
+        self.plan, self.releases, self.progress = plan, releases, progress or Silent()
+        self.device, self.workers = device, workers
         training_device(device)  # hours of collection may come before the first training
         self.networks = releases / CHECKPOINTS / plan.name
 
@@ -187,52 +164,41 @@ class _Recursion:
                 f"round {entry.number} is reused from {entry.release}, which is not in {self.releases}",
                 hint="collect that recursion first, or fetch it; its last round has its name, and is not reused",
             )
-        check_players(self.plan.outline(entry.number).blocks, str(self.plan.path))
+        self.plan.outline(entry.number).check_devices()
         for place in entry.played_by:
             if not place.startswith(f"{self.plan.name}/"):
                 networks_folder(place, self.releases)
 
     def collect(self, entry: RoundPlan) -> Stage:
-        what, started = f"collect {entry.release}", time.perf_counter()
-        sealed = self.sealed(entry)
-        if sealed is None:
+        started, already = time.perf_counter(), self.sealed(entry) is not None
+        if not already:
             if entry.played_by:  # noted before the first episode: a kill between the seal and a note would lose it
                 note(self.networks / PLAYERS, entry.release, players_of(entry, self.releases))
-            collect(
-                self.plan.collection(entry.number, self.releases),
-                self.releases,
-                workers=self.workers,
-                progress=self.watcher.sink,
-            )
-        return self.finished(entry.number, what, sealed is not None, started)
+            planned = self.plan.collection(entry.number, self.releases)
+            collect(planned, self.releases, workers=self.workers, progress=self.progress)
+        return self.finished(entry, f"collect {entry.release}", already, started)
 
     def sealed(self, entry: RoundPlan) -> ReleaseFolder | None:
         """The release of a round, where it is there and holds what the plan says."""
         path = self.releases / entry.release / MANIFEST
         if not path.is_file():
             return None
-        manifest = parse_manifest(path.read_bytes(), str(path))
-        release = ReleaseFolder(manifest, self.releases)
+        release = ReleaseFolder(parse_manifest(path.read_bytes(), str(path)), self.releases)
         if entry.collection is not None:
             check_sealed(self.plan, entry, release)
         return release
 
     def train(self, entry: RoundPlan, network: NetworkPlan) -> Stage:
-        what, started = f"train {network.folder}/{network.name}", time.perf_counter()
-        release = self.release(entry)
+        started, release = time.perf_counter(), load(self.releases / entry.release)
         folder = self.networks / network.folder
         already = trained(release, network.config, folder, network.name) is not None
         if not already:
-            report = self.watcher.training(what, network.config.updates)
-            train(release, network.config, folder, network.name, device=self.device, report=report)
-        return self.finished(entry.number, what, already, started)
+            train(release, network.config, folder, network.name, device=self.device, progress=self.progress)
+        return self.finished(entry, f"train {network.folder}/{network.name}", already, started)
 
-    def release(self, entry: RoundPlan) -> Release:
-        return load(self.releases / entry.release)
-
-    def finished(self, number: int, what: str, already: bool, started: float) -> Stage:
+    def finished(self, entry: RoundPlan, what: str, already: bool, started: float) -> Stage:
         """Note what the run that finished a stage spent on it."""
-        stage = Stage(number, what, already, time.perf_counter() - started)
+        stage = Stage(entry.number, what, already, time.perf_counter() - started)
         if not already:
-            note(self.networks / STAGES, what, {"round": number, "seconds": round(stage.seconds, 1)})
+            note(self.networks / STAGES, what, {"round": entry.number, "seconds": round(stage.seconds, 1)})
         return stage

@@ -28,26 +28,27 @@ Round n is sealed as ``NAME-round-n``, the last one as ``NAME``: each continues 
 
 from __future__ import annotations
 
-import copy
-import re
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import StringConstraints
 
 from baselines.devices import LEARNED
-from baselines.rounds.plan import read_plan, read_toml
-from baselines.rounds.planned import CollectionPlan
+from baselines.rounds.plan import About, CollectionPlan, Text, read_plan, read_toml, reuses, wrong
 from baselines.train.config import TrainingConfig
 from baselines.train.result import NAME
 from evaluator.policy.shipped import CHECKPOINTS
-from rema_data.errors import InputError, MissingFileError, RemaError
-from rema_data.release.manifest import check_name
+from rema_data.errors import MissingFileError
+from rema_data.store.block import SPLITS
+from rema_data.validation import record, validated
 
 __all__ = ["NetworkPlan", "RecursionPlan", "RoundPlan", "load_recursion", "networks_folder"]
 
-_OWN = ("begins_with", "policies", "rounds")
-_TOP = ("name", "title", "description", "license", "citation", "published", "seed", "sources", *_OWN)
-_NETWORK = re.compile(rf"[a-z0-9][a-z0-9._-]*/{NAME}")
+_HINT = "fix the plan; examples/tiny.toml shows how one is written"
+_PLACE = 'write where it is stored, below the networks of this plan: network = "round-1/grasp"'
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,14 +127,12 @@ class RecursionPlan:
         MissingFileError, InputError
             As for any collection plan.
         """
-        entry = self.rounds[number - 1]
-        assert entry.collection is not None
-        content = self._content(number, _with_checkpoints(entry.collection, releases))
+        content = self._content(number)
         if number > 1:
             content["parent"] = str((releases / self.rounds[number - 2].release).resolve())
         if number < len(self.rounds):
             content["title"] = f"{self.about['title']}: rounds 1 to {number}"
-        return read_plan(content, self.path)
+        return read_plan(content, self.path, lambda place: networks_folder(place, releases).resolve())
 
     def outline(self, number: int) -> CollectionPlan:
         """The same while its networks and the rounds before it are not there yet.
@@ -143,14 +142,31 @@ class RecursionPlan:
         MissingFileError, InputError
             As for any collection plan.
         """
-        collection = self.rounds[number - 1].collection
-        assert collection is not None
-        content = self._content(number, collection) | {"parent": self.rounds[0].release}
-        return read_plan(content, self.path, networks_later=True)
+        return read_plan(self._content(number) | {"parent": self.rounds[0].release}, self.path, Path)
 
-    def _content(self, number: int, collection: dict[str, Any]) -> dict[str, Any]:
-        rounds = [*[{"reuse": True}] * (number - 1), collection]
-        return {**self.about, "name": self.rounds[number - 1].release, "rounds": rounds}
+    def _content(self, number: int) -> dict[str, Any]:
+        entry = self.rounds[number - 1]
+        assert entry.collection is not None
+        rounds = [*[{"reuse": True}] * (number - 1), entry.collection]
+        return {**self.about, "name": entry.release, "rounds": rounds}
+
+
+@record
+class _Recursion(About):
+    begins_with: Text | None = None
+    policies: dict[str, str] = field(default_factory=dict)
+
+
+@record
+class _Trained:
+    """What belongs to the networks of a round."""
+
+    networks: list[dict[str, Any]] = field(default_factory=list)
+
+
+@record
+class _Place:
+    network: Annotated[str, StringConstraints(pattern=rf"^[a-z0-9][a-z0-9._-]*/{NAME}$")]
 
 
 def networks_folder(place: str, releases: Path) -> Path:
@@ -183,70 +199,60 @@ def load_recursion(path: Path) -> RecursionPlan:
         network has nothing to be trained on.
     """
     content = read_toml(path)
-    unknown = [name for name in content if name not in _TOP]
-    if unknown:
-        raise InputError(f"{path}: {unknown[0]} is not a key of a recursion", hint=f"known here: {', '.join(_TOP)}")
-    entries = content.get("rounds")
-    if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
-        raise InputError(f"{path}: rounds is not a list of rounds", hint="write a table [[rounds]] for each")
-    about = {key: value for key, value in content.items() if key not in _OWN}
-    try:
-        name, base = check_name(str(content.get("name", ""))), content.get("begins_with")
-    except InputError as error:
-        raise InputError(f"{path}: name: {error.message}", hint=error.hint) from error
-    if base is not None and not isinstance(base, str):
-        raise InputError(f"{path}: begins_with = {base!r} is no name", hint='write begins_with = "rema-v0"')
-    rounds = _rounds(path, entries, name, base)
-    folders = {network.folder for entry in rounds for network in entry.networks}
-    plan = RecursionPlan(path, about, rounds, _policies(path, content.get("policies", {}), folders))
+    own = validated(_Recursion, content, str(path), hint=_HINT)
+    about = {key: value for key, value in content.items() if key not in ("begins_with", "policies", "rounds")}
+    plan = RecursionPlan(path, about, _rounds(path, own), own.policies)
+    folders = {network.folder for entry in plan.rounds for network in entry.networks}
+    for policy, folder in plan.policies.items():
+        if policy not in LEARNED or folder not in folders:
+            what = f"is {folder!r}: not a learned policy with networks that a round trains"
+            hint = f"policies: {_listed(LEARNED)}; networks: {_listed(folders)}"
+            raise wrong(path, f"policies.{policy}", what, hint)
     _check_data(plan)
     return plan
 
 
-def _rounds(path: Path, entries: list[dict[str, Any]], name: str, base: str | None) -> tuple[RoundPlan, ...]:
+def _rounds(path: Path, own: _Recursion) -> tuple[RoundPlan, ...]:
     rounds: list[RoundPlan] = []
-    for number, entry in enumerate(entries, 1):
-        own = copy.deepcopy(entry)
-        tables = own.pop("networks", [])
-        if not isinstance(tables, list):
-            raise InputError(
-                f"{path}: rounds[{number}].networks is {tables!r}", hint="write a table [[rounds.networks]] for each"
-            )
-        networks = tuple(_network(path, number, table) for table in tables)
+    for number, table in enumerate(own.rounds, 1):
+        where = f"rounds[{number}]"
+        collection = {key: value for key, value in table.items() if key != "networks"}
         used = {network.folder for earlier in rounds for network in earlier.networks}
-        _check_places(path, number, networks, used)
-        if own.get("reuse") is True:
-            if base is None:
-                raise InputError(f"{path}: rounds[{number}].reuse lacks its source", hint='write begins_with = "..."')
+        networks = _networks(path, where, table, used)
+        if reuses(collection, path, where):
+            if own.begins_with is None:
+                raise wrong(path, f"{where}.reuse", "lacks its source", 'write begins_with = "..."')
             if any(earlier.collection is not None for earlier in rounds):
-                raise InputError(
-                    f"{path}: rounds[{number}] is reused after a round that is collected, and would not hold it",
-                    hint="rounds that are reused come first",
-                )
-            if others := [key for key in own if key != "reuse"]:
-                raise InputError(
-                    f"{path}: rounds[{number}].{others[0]} is not a key of a round that is reused",
-                    hint="known here: reuse, networks; leave out reuse to collect the round",
-                )
-            rounds.append(RoundPlan(number, f"{base}-round-{number}", None, networks))
-        else:
-            _check_players(path, number, own, {f"{name}/{folder}" for folder in used}, base)
-            release = name if number == len(entries) else f"{name}-round-{number}"
-            rounds.append(RoundPlan(number, release, own, networks))
+                what = "is reused after a round that is collected, and would not hold it"
+                raise wrong(path, where, what, "rounds that are reused come first")
+            rounds.append(RoundPlan(number, f"{own.begins_with}-round-{number}", None, networks))
+            continue
+        release = own.name if number == len(own.rounds) else f"{own.name}-round-{number}"
+        entry = RoundPlan(number, release, collection, networks)
+        known = {f"{own.name}/{folder}" for folder in used}
+        for place in entry.played_by:
+            if place not in known and not (own.begins_with and place.startswith(f"{own.begins_with}/")):
+                what = f"is played by {place}, which no earlier round trains"
+                raise wrong(path, where, what, f"networks by then: {_listed(known)}")
+        rounds.append(entry)
     return tuple(rounds)
 
 
-def _network(path: Path, number: int, table: Any) -> NetworkPlan:
-    where = f"{path}: rounds[{number}].networks"
-    values = dict(table) if isinstance(table, dict) else {}
-    place = values.pop("network", None)
-    if not isinstance(place, str) or not _NETWORK.fullmatch(place):
-        raise InputError(f"{where}: network = {place!r} names no network", hint='write network = "round-1/grasp"')
-    folder, _, name = place.partition("/")
-    try:
-        return NetworkPlan(folder, name, TrainingConfig.from_dict(values))
-    except RemaError as error:
-        raise InputError(f"{where}: {place}: {error.message}", hint=error.hint, network=place) from error
+def _networks(path: Path, where: str, table: dict[str, Any], used: set[str]) -> tuple[NetworkPlan, ...]:
+    """The networks of a round: where each is written, and how it is trained."""
+    given = {key: value for key, value in table.items() if key == "networks"}
+    found: list[NetworkPlan] = []
+    for number, values in enumerate(validated(_Trained, given, str(path), at=where, hint=_HINT).networks, 1):
+        at = f"{where}.networks[{number}]"
+        place = {key: values.pop(key) for key in ("network",) if key in values}
+        folder, _, name = validated(_Place, place, str(path), at=at, hint=_PLACE).network.partition("/")
+        # A folder of networks belongs to one round: those of an earlier one may have played, and stay what they were.
+        if folder in used or (folder, name) in {(one.folder, one.name) for one in found}:
+            what = f"{folder}/{name} is trained twice, or into the folder of an earlier round"
+            hint = "give every round folders of its own, and every network in them its own name"
+            raise wrong(path, f"{where}.networks:", what, hint)
+        found.append(NetworkPlan(folder, name, validated(TrainingConfig, values, str(path), at=at, hint=_HINT)))
+    return tuple(found)
 
 
 def _uses(table: Any) -> list[dict[str, Any]]:
@@ -257,42 +263,8 @@ def _uses(table: Any) -> list[dict[str, Any]]:
     return here + [use for value in table.values() for use in _uses(value)]
 
 
-def _check_players(path: Path, number: int, table: dict[str, Any], known: set[str], base: str | None) -> None:
-    for use in _uses(table):
-        place = str(use["checkpoint"])
-        if place not in known and not (base and place.startswith(f"{base}/")):
-            listed = ", ".join(sorted(known)) or "none"
-            raise InputError(
-                f"{path}: rounds[{number}] is played by {place}, which no earlier round trains",
-                hint=f"networks by then: {listed}",
-                checkpoint=place,
-            )
-
-
-def _check_places(path: Path, number: int, networks: tuple[NetworkPlan, ...], used: set[str]) -> None:
-    """A folder of networks belongs to one round: those of an earlier one may have played, and stay what they were."""
-    places = [f"{network.folder}/{network.name}" for network in networks]
-    for network, place in zip(networks, places, strict=True):
-        if network.folder in used or places.count(place) > 1:
-            raise InputError(
-                f"{path}: rounds[{number}].networks: {place} is trained twice, or into the folder of an earlier round",
-                hint="give every round folders of its own, and every network in them its own name",
-                network=place,
-            )
-
-
-def _policies(path: Path, table: Any, folders: set[str]) -> dict[str, str]:
-    """Which built-in policies get which networks."""
-    if not isinstance(table, dict) or not all(folder in folders for folder in map(str, table.values())):
-        raise InputError(
-            f"{path}: policies = {table!r} names networks that no round trains",
-            hint=f"folders of networks: {', '.join(sorted(folders)) or 'none'}",
-        )
-    if unknown := sorted(set(table) - LEARNED):
-        raise InputError(
-            f"{path}: policies.{unknown[0]} is no policy with networks", hint=f"use: {', '.join(sorted(LEARNED))}"
-        )
-    return table
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(sorted(names)) or "none"
 
 
 def _check_data(plan: RecursionPlan) -> None:
@@ -303,19 +275,10 @@ def _check_data(plan: RecursionPlan) -> None:
         if entry.collection is not None:
             collected |= {(block.key.task, block.key.split) for block in plan.outline(entry.number).blocks}
         for network in () if reused else entry.networks:
-            for task in network.config.tasks:
-                for split in ("train", "val"):
-                    if (task, split) not in collected:
-                        raise InputError(
-                            f"{plan.path}: rounds[{entry.number}].networks: {network.folder}/{network.name} learns "
-                            f"{task}, of which no round so far has episodes in the split {split}",
-                            hint="collect them, or leave the task out",
-                            network=f"{network.folder}/{network.name}",
-                        )
-
-
-def _with_checkpoints(table: dict[str, Any], releases: Path) -> dict[str, Any]:
-    made = copy.deepcopy(table)
-    for use in _uses(made):
-        use["checkpoint"] = str(networks_folder(str(use["checkpoint"]), releases).resolve())
-    return made
+            for task, split in product(network.config.tasks, SPLITS):
+                if (task, split) not in collected:
+                    what = (
+                        f"{network.folder}/{network.name} learns {task}, of which no round so far has episodes in the"
+                    )
+                    hint = "collect them, or leave the task out"
+                    raise wrong(plan.path, f"rounds[{entry.number}].networks:", f"{what} split {split}", hint)

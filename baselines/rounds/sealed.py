@@ -1,21 +1,67 @@
-"""Whether a sealed release is what a plan says of a round: what is compared, and what cannot be."""
+"""What a recursion left: whether a sealed release is the round that a plan asks for, and notes beside the networks.
+
+The notes are two small files, written by every process that works on the recursion::
+
+    stages.json      what every stage took on the machine that finished it
+    players.json     which networks each round was collected with: the sha256 of their weights
+"""
 
 from __future__ import annotations
 
 import hashlib
+import json
 from pathlib import Path
+from typing import Any
 
-from baselines.rounds.notes import PLAYERS, read_notes
-from baselines.rounds.planned import BlockPlan, CollectionPlan
+from filelock import FileLock
+
+from baselines.rounds.plan import BlockPlan, CollectionPlan
 from baselines.rounds.recursion_plan import RecursionPlan, RoundPlan, networks_folder
 from baselines.tae.checkpoint import networks_in
 from evaluator.policy.shipped import CHECKPOINTS
-from rema_data.errors import RunMismatchError
+from rema_data.errors import IntegrityError, RunMismatchError
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import BlockEntry
+from rema_data.storage import storage_errors, write_atomic
 from rema_data.store.block import EPISODES
+from rema_data.validation import validated
 
-__all__ = ["check_sealed", "players_of"]
+__all__ = ["PLAYERS", "STAGES", "check_sealed", "note", "players_of", "read_notes"]
+
+STAGES, PLAYERS = "stages.json", "players.json"
+
+
+def read_notes(path: Path) -> dict[str, Any]:
+    """What a file of notes holds; nothing where it is not there.
+
+    Raises
+    ------
+    IntegrityError
+        It is not a JSON object.
+    """
+    hint = "restore it, or delete it: its notes are then lost"
+    with storage_errors(path):
+        text = path.read_text(encoding="utf-8") if path.is_file() else "{}"
+    try:
+        return validated(dict[str, Any], json.loads(text), str(path), hint=hint, error=IntegrityError)
+    except json.JSONDecodeError as error:
+        raise IntegrityError(f"{path} is not JSON: {error}", hint=hint, path=str(path)) from error
+
+
+def note(path: Path, key: str, value: Any) -> None:
+    """Enter a note, or replace it, while other processes may write into the file too.
+
+    Raises
+    ------
+    IntegrityError
+        The file is not a JSON object.
+    StorageError
+        It may not be written.
+    """
+    with storage_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with FileLock(path.with_name(f".{path.name}.lock")):  # held for milliseconds: wait for it
+            write_atomic(path, json.dumps(read_notes(path) | {key: value}, indent=1) + "\n")
 
 
 def players_of(entry: RoundPlan, releases: Path) -> dict[str, str]:

@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 import json
-import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from rema_data.schema import Primitive
 
-if TYPE_CHECKING:
-    from torch import Tensor
+__all__ = ["train"]
 
-    from baselines.train.loop import Report
-    from evaluator.cli.progress import StderrProgress
-
-__all__ = ["reporter", "train"]
-
-_READ_EVERY = 20
-"""Updates between two looks at the loss: each waits until the device has done all that it was told."""
+_SHAPE = ("width", "scene_stride", "ee_stride", "up_align_corners", "correlation_scale")
+"""Options that are fields of the architecture."""
 
 
 def _names(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[str, ...]:
@@ -63,28 +56,23 @@ def train(
     deterministic: bool,
     pictures: Path | None,
     as_json: bool,
-    width: int,
-    scene_stride: int,
-    ee_stride: int,
-    up_align_corners: bool,
-    correlation_scale: str,
     **values: Any,
 ) -> None:
     """Train a TAE network: one labelled place and angle a sample, balanced over skill and success.
 
-    A training that was stopped, or killed, goes on where its last state was saved: run the same command again. The
+    To resume a training that was stopped or killed, from its last saved state, run the same command again. The
     weights with the best validation AUC become OUTPUT/NAME.safetensors, with a JSON file that says what they are.
     """
     from baselines.devices import training_device
-    from baselines.tae.network import Architecture
     from baselines.train.config import TrainingConfig
     from baselines.train.loop import train as run
     from baselines.train.result import check_network_name
     from evaluator.cli.progress import StderrProgress
     from rema_data.loader.release import load
+    from rema_data.validation import validated
 
-    shape = Architecture(width, scene_stride, ee_stride, up_align_corners, correlation_scale)
-    config = TrainingConfig(**values, architecture=shape)
+    values["architecture"] = {field: values.pop(field) for field in _SHAPE}
+    config = validated(TrainingConfig, values, "rema train", hint="see rema train --help")
     chosen = name or config.primitive
     check_network_name(chosen)
     training_device(device)  # before a release is fetched from its files
@@ -93,9 +81,8 @@ def train(
 
         require_matplotlib()
     with StderrProgress() as progress:
-        report = reporter(progress, f"train {chosen}", config.updates)
         opened = load(release)
-        done = run(opened, config, output, chosen, device=device, deterministic=deterministic, report=report)
+        done = run(opened, config, output, chosen, device=device, deterministic=deterministic, progress=progress)
     if pictures is not None:
         from baselines.tae.checkpoint import load_checkpoint
         from baselines.train.data import open_data
@@ -111,53 +98,3 @@ def train(
         f"{done.folder / done.name}.safetensors {how}: validation AUC {measures['auc']:.3f}, balanced accuracy "
         f"{measures['balanced_accuracy']:.1%} after {done.checkpoint.updates:,} updates"
     )
-
-
-def reporter(progress: StderrProgress, what: str, updates: int) -> Report:
-    """What shows a training on stderr: a bar with the running loss, and a line for every validation."""
-    progress.phase(what, updates)
-    pace = _Pace()
-
-    def report(update: int, facts: dict[str, Any]) -> None:
-        if "resumed" in facts:
-            counts = [str(count) for count in facts["threads"]]
-            mixed = f"; with {' and '.join(counts)} threads, so not to the weights that one number of them gives"
-            progress.note(f"{what}: goes on after update {update:,} of {updates:,}{mixed if len(counts) > 1 else ''}")
-            progress.resume(update)
-            pace.begin()
-        elif "auc" in facts:
-            skills = ", ".join(f"{name} {entry['auc']:.3f}" for name, entry in facts["skills"].items())
-            progress.note(
-                f"{what}: update {update:,}, loss {facts['training_loss']:.3f}, validation AUC {skills}, balanced "
-                f"accuracy {facts['balanced_accuracy']:.1%}, calibration error {facts['calibration_error']:.3f}; "
-                f"{facts['samples_per_second']:.0f} samples/s, {facts['waiting_share']:.1%} of the time for data"
-            )
-            pace.begin()  # what the validation took is no time of the updates
-        else:
-            progress.advance(1)
-            if words := pace.after(facts["loss"], facts["samples"]):
-                progress.tell(words)
-
-    return report
-
-
-class _Pace:
-    """Loss and samples a second over the last so many updates."""
-
-    def __init__(self) -> None:
-        self.begin()
-
-    def begin(self) -> None:
-        self._losses: list[Tensor] = []
-        self._samples, self._since = 0, time.perf_counter()
-
-    def after(self, loss: Tensor, samples: int) -> str:
-        """What to say after an update; mostly nothing."""
-        self._losses.append(loss)
-        self._samples += samples
-        if len(self._losses) < _READ_EVERY:
-            return ""
-        mean = float(sum(self._losses[1:], self._losses[0])) / len(self._losses)
-        words = f"loss {mean:.3f}, {self._samples / (time.perf_counter() - self._since):,.0f} samples/s"
-        self.begin()
-        return words

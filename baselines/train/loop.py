@@ -6,7 +6,6 @@ import json
 import math
 import shutil
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +13,20 @@ import torch
 from torch import Tensor
 
 from baselines.devices import training_device
-from baselines.tae.checkpoint import Checkpoint
+from baselines.tae.checkpoint import Checkpoint, save_checkpoint
 from baselines.tae.network import TaeNetwork
 from baselines.train.config import TrainingConfig
 from baselines.train.data import open_data, prepared
-from baselines.train.result import DIVERGED, DivergedError, Trained, check_network_name, save_best, trained
+from baselines.train.report import TrainingReport
+from baselines.train.result import DIVERGED, DivergedError, Trained, check_network_name, trained
 from baselines.train.state import TrainingState, locked, read_state, state_path, write_state
 from baselines.train.validation import pixel_logits, validate
-from evaluator.run.environment import source_digest
+from evaluator.run.environment import code_commit, source_digest
 from rema_data.augment import Augment
 from rema_data.loader.release import Release
+from rema_data.progress import Progress, Silent
 from rema_data.storage import write_atomic
+from rema_data.validation import plain
 
 __all__ = ["DivergedError", "Trained", "train", "trained"]
 
@@ -33,7 +35,6 @@ _BETAS = (0.9, 0.95)
 """Of Adam, as AdaGrasp has them."""
 _CODE = ("baselines.tae", "baselines.train", "rema_data")
 """What decides the weights: a training that was stopped is not taken up by other code."""
-Report = Callable[[int, dict[str, Any]], None]
 
 
 def train(
@@ -44,7 +45,7 @@ def train(
     *,
     device: str = "cpu",
     deterministic: bool = False,
-    report: Report | None = None,
+    progress: Progress | None = None,
     save_every: int | None = None,
 ) -> Trained:
     """Train a network, or go on with a training that was interrupted, and write its best checkpoint.
@@ -59,10 +60,8 @@ def train(
     device : str
     deterministic : bool
         Refuse operations whose result may differ between two runs on one device.
-    report : callable, optional
-        Called after every update with the number of updates done and ``{"loss": ..., "samples": ...}``, the loss still
-        on the device; after a validation with its measures and the speed since the one before; and with ``{"resumed":
-        ..., "threads": ...}`` where an interrupted training goes on.
+    progress : Progress, optional
+        Told of every update, and in words of the loss, every validation, and a training that is resumed.
     save_every : int, optional
         Updates between two saved states; those of a validation by default.
 
@@ -84,7 +83,7 @@ def train(
     done = trained(release, config, folder, name)
     if done is not None:
         return done
-    run = _Training(release, config, folder, name, where, report)
+    run = _Training(release, config, folder, name, where, progress or Silent())
     before = torch.are_deterministic_algorithms_enabled()
     torch.use_deterministic_algorithms(deterministic)
     try:
@@ -105,10 +104,11 @@ class _Training:
         folder: Path,
         name: str,
         device: torch.device,
-        report: Report | None,
+        progress: Progress,
     ) -> None:
         self.release, self.config, self.folder, self.name = release, config, folder, name
-        self.device, self.report = device, report
+        self.device = device
+        self.report = TrainingReport(progress, f"train {folder.name}/{name}", config.updates)
         self.work = state_path(folder, name)
         self.data = open_data(release, config)
         self.augment = Augment(self.data.train, rotate=config.rotate, mirror=config.mirror)
@@ -121,17 +121,13 @@ class _Training:
         self.history: list[dict[str, Any]] = []
         self.best: dict[str, Any] | None = None
         self.best_weights: dict[str, Tensor] = {}
-        self.code = {name: source_digest(name) for name in _CODE}
-        self.threads = {torch.get_num_threads()}  # equal weights need equal sums, which the threads cut in parts
-
-    @property
-    def identity(self) -> dict[str, Any]:
-        return {
-            "training": self.config.to_dict(),
-            "release": self.release.fingerprint,
-            "device": self.device.type,
-            "code": self.code,
+        self.identity = {
+            "training": plain(config),
+            "release": release.fingerprint,
+            "device": device.type,
+            "code": {name: source_digest(name) for name in _CODE},
         }
+        self.threads = {torch.get_num_threads()}  # equal weights need equal sums, which the threads cut in parts
 
     def go(self, save_every: int) -> Trained:
         self.resume()
@@ -143,23 +139,19 @@ class _Training:
             waiting += time.perf_counter() - asked
             self.losses.append(self.step(samples))
             self.update += 1
-            if self.report is not None:
-                self.report(self.update, {"loss": self.losses[-1], "samples": self.config.batch_size})
+            self.report.updated(self.losses[-1], self.config.batch_size)
             last = self.update == self.config.updates
             validating = last or self.update % self.config.validate_every == 0
             if validating or self.update % save_every == 0:
                 self.check()
             if validating:
                 took = time.perf_counter() - started
-                speed = {
-                    "samples_per_second": (self.update - before) * self.config.batch_size / took,
-                    "waiting_share": waiting / took,
-                }
-                self.validate(speed)
+                speed = (self.update - before) * self.config.batch_size / took
+                self.report.validated(self.validate(), speed, waiting / took)
                 started, waiting, before = time.perf_counter(), 0.0, self.update
             if validating or self.update % save_every == 0:
                 self.save()
-        return self.finish()
+        return Trained(self.folder, self.name, self.save_best(self.folder), already=False)
 
     def step(self, samples: Any) -> Tensor:
         """One update; the loss, still on the device."""
@@ -202,23 +194,21 @@ class _Training:
             update=update,
         )
 
-    def validate(self, speed: dict[str, float]) -> None:
+    def validate(self) -> dict[str, Any]:
+        """Measures of the present weights, which become the best ones or do not."""
         try:
             measures = validate(self.network, self.data.validation, self.device)
         except DivergedError as error:
             raise self.diverged(f"after update {self.update} {error.message}", self.update) from error
         entry = {"update": self.update, "training_loss": float(torch.stack(self.losses).mean()), **measures}
         self.losses = []
-        self.history.append(
-            entry
-        )  # without the speed: the file counts among a policy's bytes, equal for equal trainings
+        self.history.append(entry)  # without speeds: its file is part of a policy, equal for equal trainings
         if self.best is None or _rank(measures) > _rank(self.best):
             self.best = {"update": self.update, **measures, "threads": sorted(self.threads)}
             self.best_weights = {key: tensor.detach().cpu().clone() for key, tensor in self.weights().items()}
         lines = "".join(json.dumps(row) + "\n" for row in self.history)
         write_atomic(self.folder / f"{self.name}.metrics.jsonl", lines)
-        if self.report is not None:
-            self.report(self.update, entry | speed)
+        return entry
 
     def weights(self) -> dict[str, Tensor]:
         return dict(self.network.state_dict())
@@ -264,17 +254,26 @@ class _Training:
         self.update, self.history, self.best = state.update, state.facts["history"], state.facts["best"]
         self.best_weights = part["best"]
         self.threads |= set(state.facts["threads"])
-        if self.report is not None:
-            self.report(self.update, {"resumed": self.update, "threads": sorted(self.threads)})
+        self.report.resumed(self.update, sorted(self.threads))
 
     def save_best(self, folder: Path) -> Checkpoint:
+        """Write the best weights, with their card."""
         assert self.best is not None
         present = set(self.data.train.table["skill"])
         skills = tuple(name for name in self.config.learned_skills if name in present)
-        return save_best(self.release, self.config, skills, folder, self.name, self.best_weights, self.best)
-
-    def finish(self) -> Trained:
-        return Trained(self.folder, self.name, self.save_best(self.folder), already=False)
+        commit = code_commit()
+        about = Checkpoint(
+            primitive=self.config.primitive,
+            skills=skills,
+            architecture=self.config.architecture,
+            release=self.release.name,
+            release_sha256=self.release.fingerprint,
+            training=plain(self.config),
+            metrics={key: value for key, value in self.best.items() if key != "update"},
+            updates=self.best["update"],
+            commit=f"{commit['commit'] or ''}{'+' if commit['dirty'] else ''}",
+        )
+        return save_checkpoint(folder, self.name, self.best_weights, about)
 
 
 def _rank(measures: dict[str, Any]) -> tuple[float, float]:

@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shlex
 import shutil
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from torch import Tensor
-
-from baselines.tae.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from baselines.tae.checkpoint import Checkpoint, load_checkpoint
 from baselines.train.config import TrainingConfig
 from baselines.train.state import state_path
-from evaluator.run.environment import code_commit
 from rema_data.errors import InputError, IntegrityError, MissingFileError, RemaError, RunMismatchError
 from rema_data.loader.release import Release
+from rema_data.validation import plain
 
-__all__ = ["DIVERGED", "NAME", "DivergedError", "Trained", "check_network_name", "save_best", "trained"]
+__all__ = ["DIVERGED", "NAME", "DivergedError", "Trained", "check_network_name", "trained"]
 
 DIVERGED = "diverged"
 """Folder, below that of the networks, of what was kept of trainings that failed: no policy takes it for a network."""
@@ -79,8 +74,7 @@ def trained(release: Release, config: TrainingConfig, folder: Path, name: str) -
         files = " ".join(shlex.quote(str(folder / f"{name}{end}")) for end in (".json", ".safetensors"))
         hint = f"delete it to train it again: rm -f {files}; or choose another --output or --name"
         raise type(error)(error.message, hint=hint, path=str(folder / name)) from error
-    wanted = json.loads(json.dumps(config.to_dict()))
-    if about.release_sha256 != release.fingerprint or about.training != wanted:
+    if about.release_sha256 != release.fingerprint or about.training != plain(config):
         raise RunMismatchError(
             f"{folder / name} is a network of another training (release {about.release}, {about.updates:,} updates)",
             hint="choose another --output or --name",
@@ -88,51 +82,3 @@ def trained(release: Release, config: TrainingConfig, folder: Path, name: str) -
         )
     shutil.rmtree(state_path(folder, name), ignore_errors=True)
     return Trained(folder, name, about, already=True)
-
-
-def save_best(
-    release: Release,
-    config: TrainingConfig,
-    skills: tuple[str, ...],
-    folder: Path,
-    name: str,
-    weights: Mapping[str, Tensor],
-    best: Mapping[str, Any],
-) -> Checkpoint:
-    """Write the best weights of a training, with their card.
-
-    Parameters
-    ----------
-    release, config
-        What it was trained on, and how.
-    skills : tuple of str
-        Those of its steps.
-    folder, name
-        As in ``save_checkpoint``.
-    weights : mapping of str to Tensor
-    best : mapping
-        What validation said of them, with the ``update`` after which it did.
-
-    Raises
-    ------
-    StorageError
-        The disk is full or may not be written.
-    """
-    about = Checkpoint(
-        primitive=config.primitive,
-        skills=skills,
-        architecture=config.architecture,
-        release=release.name,
-        release_sha256=release.fingerprint,
-        training=json.loads(json.dumps(config.to_dict())),
-        metrics={key: value for key, value in best.items() if key != "update"},
-        updates=best["update"],
-        commit=_commit(),
-    )
-    return save_checkpoint(folder, name, weights, about)
-
-
-def _commit() -> str:
-    """Commit of the code, with ``+`` where files differ from it; empty where it is not known."""
-    found = code_commit()
-    return f"{found['commit'] or ''}{'+' if found['dirty'] else ''}"

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from rema_data.errors import InputError, RunMismatchError
 from rema_data.storage import storage_errors, write_atomic
+from rema_data.validation import plain, record, validated
 
 __all__ = ["TrainingState", "locked", "read_state", "state_path", "write_state"]
 
@@ -50,6 +51,16 @@ def state_path(folder: Path, name: str) -> Path:
     return folder / f".{name}.training"
 
 
+@record
+class _Card:
+    """The JSON file of a state."""
+
+    identity: dict[str, Any]
+    update: int
+    sha256: str
+    facts: dict[str, Any]
+
+
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
     """Work on a training alone; its folder is created where it is missing.
@@ -69,7 +80,7 @@ def locked(folder: Path) -> Iterator[None]:
         except Timeout as error:
             who = owner.read_text(encoding="utf-8") if owner.is_file() else "another process"
             raise InputError(
-                f"{who} is at this training: {folder}",
+                f"{who} is working on this training: {folder}",
                 hint="wait for it, or choose another --output or --name",
                 path=str(folder),
             ) from error
@@ -89,15 +100,10 @@ def write_state(folder: Path, identity: Mapping[str, Any], state: TrainingState)
         The disk is full; the state before this one is still there.
     """
     data = save({key: tensor.contiguous() for key, tensor in state.tensors.items()})
-    card = {
-        "identity": dict(identity),
-        "update": state.update,
-        "sha256": hashlib.sha256(data).hexdigest(),
-        "facts": state.facts,
-    }
+    card = _Card(dict(identity), state.update, hashlib.sha256(data).hexdigest(), state.facts)
     stem = f"state-{state.update:08d}"
     write_atomic(folder / f"{stem}.safetensors", data)
-    write_atomic(folder / f"{stem}.json", json.dumps(card) + "\n")
+    write_atomic(folder / f"{stem}.json", json.dumps(plain(card)) + "\n")
     with storage_errors(folder):
         for path in folder.glob("state-*"):
             if path.stem != stem:
@@ -114,21 +120,19 @@ def read_state(folder: Path, identity: Mapping[str, Any]) -> TrainingState | Non
     """
     for path in sorted(folder.glob("state-*.json"), reverse=True):
         try:
-            card = json.loads(path.read_text(encoding="utf-8"))
+            card = validated(_Card, json.loads(path.read_text(encoding="utf-8")), str(path))
             data = path.with_suffix(".safetensors").read_bytes()
-            whole = hashlib.sha256(data).hexdigest() == card["sha256"]
-        except (OSError, ValueError, KeyError, TypeError):
+        except (OSError, ValueError):
             continue
-        if not whole:
+        if hashlib.sha256(data).hexdigest() != card.sha256:
             continue
-        here = json.loads(json.dumps(dict(identity)))
-        if card["identity"] != here:
-            names = sorted(key for key in {*here, *card["identity"]} if here.get(key) != card["identity"].get(key))
+        if card.identity != identity:
+            names = sorted(key for key in {*identity, *card.identity} if identity.get(key) != card.identity.get(key))
             raise RunMismatchError(
                 f"{folder} holds another training: {', '.join(names)} differ",
-                hint=f"choose another --output, or delete {folder} to begin anew",
+                hint=f"choose another --output, or delete {folder} to begin again",
                 path=str(folder),
                 differences=names,
             )
-        return TrainingState(card["update"], load(data), card["facts"])
+        return TrainingState(card.update, load(data), card.facts)
     return None

@@ -45,7 +45,7 @@ VERBS: dict[str, Verb] = {
     "import": Verb("evaluator.cli.import_:import_", "Bring an exported release back."),
     "collect": Verb("baselines.rounds.command:collect", "Run a collection plan and seal a release."),
     "train": Verb("baselines.train.command:train", "Train a network on a release."),
-    "rounds": Verb("baselines.rounds.recursion_command:rounds", "Collect and train in rounds, as a plan says."),
+    "rounds": Verb("baselines.rounds.command:rounds", "Collect and train in rounds, as a plan says."),
     "check": Verb("evaluator.cli.check:check", "Check a policy in seconds: what would be refused, and why."),
     "evaluate": Verb("evaluator.cli.evaluate:evaluate", "Score a policy on frozen scenarios."),
     "merge": Verb("evaluator.cli.merge:merge", "Merge the shards of an evaluation."),

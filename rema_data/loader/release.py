@@ -235,7 +235,10 @@ def load(
 
     Examples
     --------
-    >>> release = rema_data.load("rema-mini")  # doctest: +SKIP
-    >>> dataset = release.steps(tasks=["grasp"], split="train")  # doctest: +SKIP
+    >>> import rema_data
+    >>> release = rema_data.load("rema-sample")
+    >>> dataset = release.steps(tasks=["grasp"], split="train")
+    >>> dataset[:8].scene.shape
+    torch.Size([8, 64, 64])
     """
     return Release(find_release(name_or_path), cache, progress)

@@ -9,7 +9,7 @@ import torch
 from click.testing import CliRunner
 
 from baselines import devices
-from baselines.devices import LEARNED, check_players, training_device
+from baselines.devices import LEARNED, training_device
 from baselines.rounds.plan import load_plan
 from baselines.tae.openvino import OPENVINO
 from evaluator.cli.main import cli
@@ -72,6 +72,6 @@ def test_only_learned_policies_need_it(tmp_path: Path, monkeypatch: pytest.Monke
         plan = load_plan(tmp_path / "plan.toml")
         if refused:
             with pytest.raises(InputError, match="OpenVINO is not installed"):
-                check_players(plan.blocks, "plan.toml")
+                plan.check_devices()
         else:
-            check_players(plan.blocks, "plan.toml")
+            plan.check_devices()

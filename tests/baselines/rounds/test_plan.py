@@ -90,7 +90,7 @@ def test_what_is_wrong_is_named(tmp_path: Path, old: str, new: str, key: str) ->
     path = write_plan(tmp_path, **{old: new + "\n"})
     with pytest.raises((InputError, MissingFileError)) as caught:
         load_plan(path)
-    assert caught.value.facts["key"] == key
+    assert caught.value.facts["field"] == key
     assert str(path) in caught.value.message and key in caught.value.message
     assert caught.value.hint
 

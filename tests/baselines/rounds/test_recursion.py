@@ -8,8 +8,8 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -17,7 +17,6 @@ from baselines.rounds.recursion import Stage, recurse, train_network
 from baselines.rounds.recursion_plan import load_recursion
 from baselines.tae.checkpoint import load_checkpoint
 from rema_data.errors import InputError, MissingFileError, RunMismatchError
-from rema_data.progress import Progress, Silent
 from rema_data.release.folder import find_release
 from tests.baselines.rounds.fakes import tree
 
@@ -26,19 +25,12 @@ ROOT = Path(__file__).parents[3]
 TINY = ROOT / "examples" / "tiny.toml"
 
 
-class Quiet:
-    """A watcher that remembers stages."""
-
-    sink: Progress = Silent()
-
-    def __init__(self) -> None:
-        self.stages: list[Stage] = []
-
-    def training(self, what: str, updates: int) -> Any:
-        return lambda update, facts: None
-
-    def done(self, stage: Stage) -> None:
-        self.stages.append(stage)
+def first(count: int, stages: Iterator[Stage]) -> list[Stage]:
+    """Stages up to the ``count``-th that had something to do."""
+    done: list[Stage] = []
+    while sum(not stage.already for stage in done) < count:
+        done.append(next(stages))
+    return done
 
 
 def command(*words: str) -> list[str]:
@@ -73,7 +65,7 @@ def test_all_four_rounds_from_the_command_line(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("was there") == 3 and done.stdout.count("done in") == 7
     assert tree(tmp_path / "out" / "tiny-recursion-round-1") == sealed
-    assert [stage.already for stage in recurse(load_recursion(TINY), tmp_path / "out", Quiet())] == [True] * 10
+    assert [stage.already for stage in recurse(load_recursion(TINY), tmp_path / "out")] == [True] * 10
     release = find_release(tmp_path / "out" / "tiny-recursion")
     assert {block.round: block.holder for block in release.manifest.blocks} == {
         1: "tiny-recursion-round-1",
@@ -113,20 +105,26 @@ def written(folder: Path, *changes: tuple[str, str]) -> Path:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (('name = "tiny-recursion"', 'nom = "x"'), "nom is not a key"),
-        (('name = "tiny-recursion"', ""), "name: '' cannot name a release"),
+        (('name = "tiny-recursion"', 'nom = "x"'), "nom is not a known field"),
+        (('name = "tiny-recursion"', ""), "name is missing"),
         (('name = "tiny-recursion"', 'name = "../x"'), "'../x' cannot name a release"),
         (("tiny-recursion/round-1", "tiny-recursion/round-2"), "no earlier round trains"),
         (("tiny-recursion/round-1", "elsewhere/round-1"), "no earlier round trains"),
-        (("updates = 20", "epochs = 20"), "a training has no epochs"),
-        (('network = "round-1/grasp"', 'network = "../grasp"'), "names no network"),
-        (('primitive = "grasp"', 'primitive = "throw"'), "throw"),
-        (("{ train = 200, val = 80 }", "{ train = 200, test = 80 }"), "test is not a key"),
+        (("updates = 20", "epochs = 20"), "rounds[1].networks[1].epochs is not a known field"),
+        (('network = "round-1/grasp"', 'network = "../grasp"'), "rounds[1].networks[1].network is '../grasp'"),
+        (('primitive = "grasp"', 'primitive = "throw"'), "rounds[1].networks[1].primitive is 'throw'"),
+        (("{ train = 200, val = 80 }", "{ train = 200, test = 80 }"), "rounds[1].tasks.grasp.episodes.test is"),
         (('policy = "random"', 'policy = "randon"'), "no policy is called"),
         (("width = 8", "width = 7"), "width = 7"),
         (("seed = 1", "seed = -1"), "seed"),
-        (('policy = "random"', "reuse = true"), "lacks its source"),
-        (("seed = 1", 'seed = 1\npolicies = { tae-joint = ["joint"] }'), "names networks that no round trains"),
+        (('policy = "random"', "reuse = true"), "rounds[1].episodes is not a known field"),
+        (("[[rounds]]", "[[rounds]]\nreuse = true\n[[rounds]]"), "rounds[1].reuse lacks its source"),
+        (("seed = 1", 'seed = 1\npolicies = { tae-joint = ["joint"] }'), "policies.tae-joint is ['joint']"),
+        (
+            ("seed = 1", 'seed = 1\npolicies = { tae-joint = "joined" }'),
+            "policies.tae-joint is 'joined': not a learned policy",
+        ),
+        (("seed = 1", 'seed = 1\nparent = "older"'), "parent is not a known field"),
         (("[[rounds.networks]]", "networks = 3\n[[rounds]]"), "rounds[1].networks is 3"),
         (("learning_rate = 3e-3", 'learning_rate = "3e-3"'), "learning_rate"),
         (("seed = 1", 'seed = 1\nbegins_with = "older"\n[[rounds]]\nreuse = true\nepisodes = 3'), "rounds[1].episodes"),
@@ -135,8 +133,11 @@ def written(folder: Path, *changes: tuple[str, str]) -> Path:
             "round-1/pick is trained twice, or into",
         ),
         (('network = "round-3/push"', 'network = "round-3/grasp"'), "round-3/grasp is trained twice"),
-        (("seed = 1", "seed = 1\nbegins_with = 5"), "begins_with = 5 is no name"),
-        (("seed = 1", 'seed = 1\npolicies = { tea-joint = "joint" }'), "policies.tea-joint is no policy"),
+        (("seed = 1", "seed = 1\nbegins_with = 5"), "begins_with is 5"),
+        (
+            ("seed = 1", 'seed = 1\npolicies = { tea-joint = "joint" }'),
+            "policies.tea-joint is 'joint': not a learned policy",
+        ),
         (
             ("{ train = 200, val = 80 }", "{ train = 200 }"),
             "learns grasp, of which no round so far",
@@ -145,8 +146,8 @@ def written(folder: Path, *changes: tuple[str, str]) -> Path:
             ('tasks = ["grasp"]\nupdates', 'tasks = ["push", "grasp"]\nupdates'),
             "grasp learns push, of which no",
         ),
-        (("width = 8", "width = 8.0"), "architecture.width = 8.0 is no int"),
-        (("width = 8", "depth = 8"), "architecture.depth is unknown"),
+        (("width = 8", "width = 8.0"), "architecture.width is 8.0"),
+        (("width = 8", "depth = 8"), "architecture.depth is not a known field"),
         (('picks = { code = "tae", checkpoint = "tiny-recursion/round-2" }', 'picks = "tae"'), "rounds[3]"),
     ],
 )
@@ -169,7 +170,7 @@ def test_networks_of_another_recursion_are_there_before_anything_is_done(tmp_pat
     older = ("seed = 1", 'seed = 1\nbegins_with = "older"')
     plan = load_recursion(written(tmp_path, older, ("tiny-recursion/round-2", "older/round-2")))
     with pytest.raises(MissingFileError, match="no networks older/round-2") as caught:
-        recurse(plan, tmp_path / "out", Quiet())
+        next(recurse(plan, tmp_path / "out"))
     assert caught.value.hint and not (tmp_path / "out").exists()
 
 
@@ -208,27 +209,25 @@ def test_networks_that_ship_are_asked_for_where_a_plan_names_none(
 
 def test_a_release_of_another_plan_is_not_taken_for_done(tmp_path: Path) -> None:
     small = written(tmp_path, ("{ train = 200, val = 80 }", "{ train = 9, val = 3 }"))
-    watcher = Quiet()
-    recurse(load_recursion(small), tmp_path / "out", watcher, stages=1, workers=1)
-    assert [stage.already for stage in watcher.stages] == [False]
+    assert [stage.already for stage in first(1, recurse(load_recursion(small), tmp_path / "out", workers=1))] == [False]
     with pytest.raises(RunMismatchError, match="other episodes"):
-        recurse(load_recursion(TINY), tmp_path / "out", watcher, stages=1)
+        next(recurse(load_recursion(TINY), tmp_path / "out"))
 
 
 def test_one_network_alone(tmp_path: Path) -> None:
-    path, watcher = tmp_path / "short.toml", Quiet()
+    path = tmp_path / "short.toml"
     text = TINY.read_text().replace("updates = 20", "updates = 4").replace("_every = 10", "_every = 4")
     path.write_text(text.replace("{ train = 200, val = 80 }", "{ train = 80, val = 60 }"))
     plan = load_recursion(path)
     with pytest.raises(MissingFileError, match="not sealed yet"):
-        train_network(plan, tmp_path, "round-1/grasp", watcher)
+        train_network(plan, tmp_path, "round-1/grasp")
     with pytest.raises(InputError, match="no network 'round-1/push'") as caught:
-        train_network(plan, tmp_path, "round-1/push", watcher)
+        train_network(plan, tmp_path, "round-1/push")
     assert "joint/push" in caught.value.hint
-    recurse(plan, tmp_path, watcher, stages=1, workers=1)
-    assert not train_network(plan, tmp_path, "round-1/grasp", watcher).already
-    assert train_network(plan, tmp_path, "round-1/grasp", watcher).already
-    again = recurse(plan, tmp_path, watcher, stages=1, workers=1)
+    first(1, recurse(plan, tmp_path, workers=1))
+    assert not train_network(plan, tmp_path, "round-1/grasp").already
+    assert train_network(plan, tmp_path, "round-1/grasp").already
+    again = first(1, recurse(plan, tmp_path, workers=1))
     assert [(stage.what, stage.already) for stage in again[:2]] == [
         ("collect tiny-recursion-round-1", True),
         ("train round-1/grasp", True),
@@ -250,4 +249,4 @@ def test_rounds_of_another_recursion_are_shared(tmp_path: Path) -> None:
         "second",
     ]
     with pytest.raises(MissingFileError, match="tiny-recursion-round-1"):
-        recurse(plan, tmp_path / "out", Quiet())
+        next(recurse(plan, tmp_path / "out"))

@@ -12,14 +12,12 @@ import pytest
 
 from baselines.rounds import recursion
 from baselines.rounds.collect import collect
-from baselines.rounds.notes import note, read_notes
 from baselines.rounds.recursion import recurse
 from baselines.rounds.recursion_plan import load_recursion
-from baselines.rounds.sealed import check_sealed
+from baselines.rounds.sealed import check_sealed, note, read_notes
 from rema_data.errors import IntegrityError, MissingFileError, RunMismatchError
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, parse_manifest
-from tests.baselines.rounds.test_recursion import Quiet
 from tests.evaluator.fakes import fake_backend
 
 ROOT = Path(__file__).parents[3]
@@ -63,7 +61,7 @@ def collected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_fingerprint
 
 
 def again(folder: Path) -> list[recursion.Stage]:
-    return recurse(load_recursion(folder / "plan.toml"), folder / "out", Quiet())
+    return list(recurse(load_recursion(folder / "plan.toml"), folder / "out"))
 
 
 def test_the_same_plan_is_done(collected: Path) -> None:
@@ -108,5 +106,5 @@ def test_no_note_is_lost_between_two_that_write(tmp_path: Path) -> None:
         f"train {n}": n for n in range(40)
     }
     path.write_text("{")
-    with pytest.raises(IntegrityError, match=r"stages\.json cannot be read"):
+    with pytest.raises(IntegrityError, match=r"stages\.json is not JSON"):
         read_notes(path)

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from click.testing import CliRunner
 
 import rema_data
 from baselines.train import pictures
-from baselines.train.command import reporter
 from evaluator.cli.main import cli
 
 
@@ -62,34 +59,3 @@ def test_pictures_that_cannot_be_drawn_are_refused_before_the_training(
     monkeypatch.setattr(pictures, "find_spec", lambda name: None)
     done = CliRunner().invoke(cli, command(release, tmp_path / "out", "--pictures", str(tmp_path / "maps.png")))
     assert done.exit_code == 2 and "rema[report]" in done.output and not (tmp_path / "out").exists()
-
-
-class Loss:
-    """As a tensor on a device: it can be added up for nothing, and reading it costs."""
-
-    read = 0
-
-    def __init__(self, value: float) -> None:
-        self.value = value
-
-    def __add__(self, other: Loss) -> Loss:
-        return Loss(self.value + other.value)
-
-    def __float__(self) -> float:
-        Loss.read += 1
-        return self.value
-
-
-def test_the_loss_is_shown_and_seldom_read() -> None:
-    told: list[str] = []
-    notes: list[str] = []
-    progress: Any = SimpleNamespace(
-        phase=lambda *_: None, advance=lambda n: None, resume=lambda n: None, note=notes.append, tell=told.append
-    )
-    report = reporter(progress, "train grasp", 100)
-    report(10, {"resumed": 10, "threads": [1, 2]})
-    assert "with 1 and 2 threads" in notes[0]
-    for n in range(45):
-        report(11 + n, {"loss": Loss(0.25 if n < 20 else 0.75), "samples": 8})
-    assert [words.partition(",")[0] for words in told] == ["loss 0.250", "loss 0.750"]
-    assert all(words.endswith("samples/s") for words in told) and Loss.read == 2

@@ -10,6 +10,7 @@ import pytest
 from baselines.tae.network import Architecture
 from baselines.train.config import TrainingConfig, skills_of
 from rema_data.errors import InputError
+from rema_data.validation import plain, validated
 
 
 def test_skills_follow_from_tasks_and_primitive() -> None:
@@ -22,16 +23,16 @@ def test_skills_follow_from_tasks_and_primitive() -> None:
 
 def test_a_configuration_survives_json() -> None:
     config = TrainingConfig("push", ("push",), updates=5, schedule="cosine", architecture=Architecture(8, ee_stride=2))
-    assert TrainingConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
+    assert validated(TrainingConfig, json.loads(json.dumps(plain(config))), "a card") == config
 
 
 @pytest.mark.parametrize(
     ("values", "words"),
     [
         ({"primitive": "throw"}, "primitive"),
-        ({"tasks": []}, "needs tasks"),
+        ({"tasks": []}, "tasks is \\[\\]"),
         ({"tasks": ["juggle"]}, "juggle"),
-        ({"tasks": "grasp"}, "no list"),
+        ({"tasks": "grasp"}, "tasks is 'grasp'"),
         ({"tasks": [["grasp"]]}, "tasks"),
         ({"skills": [3]}, "skills"),
         ({"primitive": ["grasp"]}, "primitive"),
@@ -52,17 +53,20 @@ def test_a_configuration_survives_json() -> None:
         ({"architecture": None}, "architecture"),
         ({"momentum": 0.9}, "momentum"),
         ({"architecture": {"width": 3}}, "width"),
+        ({"architecture": {"width": 8.0}}, "architecture.width is 8.0"),
+        ({"architecture": {"width": True}}, "architecture.width is True"),
+        ({"architecture": {"depth": 8}}, "architecture.depth is not a known field"),
     ],
 )
 def test_what_cannot_be_trained(values: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=words) as caught:
-        TrainingConfig.from_dict({"primitive": "grasp", "tasks": ["grasp"], **values})
-    assert caught.value.hint
+        validated(TrainingConfig, {"primitive": "grasp", "tasks": ["grasp"], **values}, "plan.toml")
+    assert caught.value.hint and caught.value.message.startswith("plan.toml: ")
 
 
 @pytest.mark.parametrize("missing", ["primitive", "tasks"])
 def test_what_is_missing_is_named(missing: str) -> None:
-    with pytest.raises(InputError, match=missing):
-        TrainingConfig.from_dict(
-            {key: value for key, value in {"primitive": "grasp", "tasks": ["grasp"]}.items() if key != missing}
-        )
+    values = {"primitive": "grasp", "tasks": ["grasp"]}
+    del values[missing]
+    with pytest.raises(InputError, match=f"{missing} is missing"):
+        validated(TrainingConfig, values, "plan.toml")

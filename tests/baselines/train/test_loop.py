@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,8 @@ from baselines.train.config import TrainingConfig
 from baselines.train.data import open_data
 from baselines.train.loop import DivergedError, train, trained
 from rema_data.errors import InputError, IntegrityError, MissingFileError, RunMismatchError
+from rema_data.progress import Silent
+from rema_data.validation import plain
 from tests.baselines.train.conftest import tree
 
 ROOT = Path(__file__).parents[3]
@@ -32,12 +35,30 @@ class Interruption(Exception):
     """As if the process had been killed after an update."""
 
 
-def interrupted_at(update: int) -> loop.Report:
-    def report(now: int, facts: dict[str, Any]) -> None:
-        if now == update and "loss" in facts:
+class Told(Silent):
+    """Progress that keeps the notes, and calls a function after every update."""
+
+    def __init__(self, then: Callable[[int], None] = lambda update: None) -> None:
+        self.update, self.then = 0, then
+        self.notes: list[str] = []
+
+    def advance(self, n: int) -> None:
+        self.update += n
+        self.then(self.update)
+
+    def resume(self, n: int) -> None:
+        self.update = n
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
+
+
+def interrupted_at(update: int) -> Told:
+    def then(now: int) -> None:
+        if now == update:
             raise Interruption
 
-    return report
+    return Told(then)
 
 
 @pytest.fixture(autouse=True)
@@ -58,7 +79,7 @@ def test_a_training_leaves_a_network_with_its_card(
 ) -> None:
     network, about = load_checkpoint(undisturbed / "grasp")
     assert about.release == release.name and about.release_sha256 == release.fingerprint
-    assert (about.primitive, about.skills, about.training) == ("grasp", ("grasp",), config.to_dict())
+    assert (about.primitive, about.skills, about.training) == ("grasp", ("grasp",), plain(config))
     assert about.updates in (3, 6, 9) and 0 <= about.metrics["auc"] <= 1 and network.architecture == config.architecture
     lines = [json.loads(line) for line in (undisturbed / "grasp.metrics.jsonl").read_text().splitlines()]
     assert [line["update"] for line in lines] == [3, 6, 9]
@@ -75,7 +96,7 @@ def test_interrupted_and_resumed_to_the_same_weights(
     release: rema_data.Release, config: TrainingConfig, undisturbed: Path, tmp_path: Path, at: int
 ) -> None:
     with pytest.raises(Interruption):
-        train(release, config, tmp_path, "grasp", report=interrupted_at(at), save_every=2)
+        train(release, config, tmp_path, "grasp", progress=interrupted_at(at), save_every=2)
     assert not (tmp_path / "grasp.json").exists()
     done = train(release, config, tmp_path, "grasp", deterministic=True, save_every=2)
     assert not done.already and tree(tmp_path) == tree(undisturbed)
@@ -86,7 +107,7 @@ def test_a_damaged_state_is_not_trusted(
     release: rema_data.Release, config: TrainingConfig, undisturbed: Path, tmp_path: Path, damage: str
 ) -> None:
     with pytest.raises(Interruption):
-        train(release, config, tmp_path, "grasp", report=interrupted_at(5))
+        train(release, config, tmp_path, "grasp", progress=interrupted_at(5))
     (state,) = (tmp_path / ".grasp.training").glob("*.safetensors")
     if damage == "weights":
         state.write_bytes(state.read_bytes()[:-1])
@@ -101,7 +122,7 @@ def test_a_finished_training_is_not_repeated(
 ) -> None:
     assert trained(release, config, tmp_path, "grasp") is None
     first = train(release, config, tmp_path, "grasp")
-    again = train(release, config, tmp_path, "grasp", report=interrupted_at(1))
+    again = train(release, config, tmp_path, "grasp", progress=interrupted_at(1))
     assert (first.already, again.already) == (False, True) and again.checkpoint == first.checkpoint
     other = dataclasses.replace(config, seed=1)
     with pytest.raises(RunMismatchError, match="another training"):
@@ -122,7 +143,8 @@ def test_of_weights_that_are_equal_by_auc_the_surer_are_kept(
     best: int,
 ) -> None:
     found = iter(losses)
-    monkeypatch.setattr(loop, "validate", lambda *_: {"auc": 1.0, "loss": next(found), "skills": {}})
+    other = {"balanced_accuracy": 1.0, "calibration_error": 0.0, "skills": {}}
+    monkeypatch.setattr(loop, "validate", lambda *_: {"auc": 1.0, "loss": next(found), **other})
     assert train(release, config, tmp_path, "grasp").checkpoint.updates == best
 
 
@@ -140,7 +162,7 @@ def test_a_training_is_not_taken_up_by_other_code(
     release: rema_data.Release, config: TrainingConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(Interruption):
-        train(release, config, tmp_path, "grasp", report=interrupted_at(5))
+        train(release, config, tmp_path, "grasp", progress=interrupted_at(5))
     monkeypatch.setattr(loop, "source_digest", lambda package: "0" * 64)
     with pytest.raises(RunMismatchError, match="code differ"):
         train(release, config, tmp_path, "grasp")
@@ -150,7 +172,7 @@ def test_a_state_of_another_training_is_refused(
     release: rema_data.Release, config: TrainingConfig, tmp_path: Path
 ) -> None:
     with pytest.raises(Interruption):
-        train(release, config, tmp_path, "grasp", report=interrupted_at(4))
+        train(release, config, tmp_path, "grasp", progress=interrupted_at(4))
     with pytest.raises(RunMismatchError, match="training differ"):
         train(release, dataclasses.replace(config, learning_rate=1e-3), tmp_path, "grasp")
 
@@ -225,24 +247,24 @@ def test_threads_are_in_the_card(
     """Another number of them gives other sums: a training goes on, and says so."""
     monkeypatch.setattr(loop.torch, "get_num_threads", lambda: 1)
     with pytest.raises(Interruption):
-        train(release, config, tmp_path, "grasp", report=interrupted_at(2), save_every=1)
+        train(release, config, tmp_path, "grasp", progress=interrupted_at(2), save_every=1)
     monkeypatch.setattr(loop.torch, "get_num_threads", lambda: 3)
-    told: list[dict[str, Any]] = []
-    train(release, config, tmp_path, "grasp", report=lambda update, facts: told.append(facts))
-    assert told[0] == {"resumed": 1, "threads": [1, 3]}
+    told = Told()
+    train(release, config, tmp_path, "grasp", progress=told)
+    assert "resumed after update 1 of 9; with 1 and 3 threads" in told.notes[0]
     assert load_checkpoint(tmp_path / "grasp")[1].metrics["threads"] == [1, 3]
 
 
 def test_two_trainings_of_one_name(release: rema_data.Release, config: TrainingConfig, tmp_path: Path) -> None:
     """The second one is told who is there, and leaves the first one alone."""
 
-    def begun_again(update: int, facts: dict[str, Any]) -> None:
+    def begun_again(update: int) -> None:
         if update == 4:
-            with pytest.raises(InputError, match=f"process {os.getpid()} on .* is at this training") as caught:
+            with pytest.raises(InputError, match=f"process {os.getpid()} on .* is working on this training") as caught:
                 train(release, config, tmp_path, "grasp")
             assert str(tmp_path / ".grasp.training") in caught.value.message and "wait" in caught.value.hint
 
-    assert not train(release, config, tmp_path, "grasp", report=begun_again).already
+    assert not train(release, config, tmp_path, "grasp", progress=Told(begun_again)).already
     assert not (tmp_path / ".grasp.training").exists()
 
 
@@ -280,11 +302,14 @@ import rema_data.release.folder
 from baselines.train import loop
 from baselines.train.config import TrainingConfig
 from baselines.tae.network import Architecture
+from rema_data.progress import Silent
 release = rema_data.Release(rema_data.release.folder.find_release(Path(sys.argv[1])), cache=Path(sys.argv[2]))
 small = Architecture(width=4)
 config = TrainingConfig("grasp", ("grasp", "grasp_push"), updates=9, validate_every=3, architecture=small)
-slow = lambda update, facts: time.sleep(float(sys.argv[4]))
-loop.train(release, config, Path(sys.argv[3]), "grasp", save_every=1, report=slow)
+class Slow(Silent):
+    def advance(self, n):
+        time.sleep(float(sys.argv[4]))
+loop.train(release, config, Path(sys.argv[3]), "grasp", save_every=1, progress=Slow())
 """
 
 

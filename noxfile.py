@@ -1,0 +1,82 @@
+"""One command for each check of this repository: ``nox -s NAME``; ``nox --list`` names them all.
+
+``.ci/run`` runs the same sessions, all in one environment that it makes (``--no-venv --no-install``).
+"""
+
+from __future__ import annotations
+
+import nox
+
+nox.options.sessions = ["lint", "types", "imports", "tests"]
+nox.options.reuse_existing_virtualenvs = True
+
+
+@nox.session
+def lint(session: nox.Session) -> None:
+    """Style and formatting: ruff."""
+    session.install("ruff>=0.6")
+    session.run("ruff", "check", ".")
+    session.run("ruff", "format", "--check", ".")
+
+
+@nox.session
+def types(session: nox.Session) -> None:
+    """Types: mypy, strict."""
+    session.install(".[test]")
+    session.run("mypy")
+
+
+@nox.session
+def imports(session: nox.Session) -> None:
+    """Which room may import which: import-linter with the contracts in pyproject.toml."""
+    session.install("import-linter>=2.12")
+    session.run("lint-imports", "--no-cache")
+
+
+@nox.session
+def tests(session: nox.Session) -> None:
+    """The test suite; arguments after ``--`` go to pytest."""
+    session.install(".[test]")
+    session.run("pytest", *session.posargs)
+
+
+@nox.session
+def benchmarks(session: nox.Session) -> None:
+    """Every benchmark at a reduced size."""
+    session.install(".[test]")
+    session.run("pytest", "-m", "benchmark", *session.posargs)
+
+
+@nox.session
+def docs(session: nox.Session) -> None:
+    """The README, the pages in docs/ and the docstrings against the code."""
+    session.install(".[test]")
+    session.run("pytest", "tests/contracts", *session.posargs)
+
+
+@nox.session
+def newest(session: nox.Session) -> None:
+    """The tests with the newest versions of all dependencies."""
+    session.install("--upgrade", "--upgrade-strategy", "eager", ".[test]")
+    session.run("pytest", *session.posargs)
+
+
+@nox.session(python="3.11")
+def lowest(session: nox.Session) -> None:
+    """The tests with the lowest versions that pyproject.toml allows for what rema itself imports."""
+    session.install("uv")
+    session.run("uv", "pip", "install", "--resolution", "lowest-direct", ".[test]")
+    session.run("pytest", *session.posargs)
+
+
+def _on(version: str) -> None:
+    @nox.session(name=f"py{version.replace('.', '')}", python=version)
+    def session_of_a_version(session: nox.Session) -> None:
+        session.install(".[test]")
+        session.run("pytest", *session.posargs)
+
+    session_of_a_version.__doc__ = f"The tests on Python {version}."
+
+
+for _version in ("3.11", "3.12", "3.13"):
+    _on(_version)
