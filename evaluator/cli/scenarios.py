@@ -43,6 +43,9 @@ def scenarios(
     from evaluator.engines import default_workers
     from evaluator.policy.loading import check_checkpoint, resolve
     from evaluator.policy.shipped import shipped_checkpoint
+    from evaluator.sim.bullet import require_bullet
+
+    require_bullet()
     from evaluator.scenarios.generation import Picker, write_lists
     from rema_data.storage import rema_home
 

@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
+from typing import Any
 
 from rema_data.errors import InputError
 
-__all__ = ["bullet_version", "require_bullet", "same_simulator"]
+__all__ = ["bullet_version", "decisive", "require_bullet"]
 
 OFFICIAL, FORK = "pybullet", "pybullet-arm64"
-"""Distributions that provide the module ``pybullet``: both build the same Bullet, the fork for more platforms."""
+"""Distributions of the module ``pybullet``: the fork has wheels for more platforms and versions of Python."""
 
 
 def bullet_version() -> str | None:
-    """Version of the installed build: ``3.2.7``, or ``pybullet-arm64-3.2.8`` of the fork; None where neither is."""
+    """Version of the installed build: ``3.2.7``, or ``pybullet-arm64-3.2.8`` of the fork; None without any."""
     for name in (OFFICIAL, FORK):
         try:
             return version(name) if name == OFFICIAL else f"{name}-{version(name)}"
@@ -24,8 +25,17 @@ def bullet_version() -> str | None:
     return None
 
 
+def decisive(fingerprint: Mapping[str, Any] | None) -> dict[str, Any]:
+    """The part of a simulator's fingerprint that must agree for equal results: all but the name of the build.
+
+    Builds of Bullet that give the same bits are one simulator (``benchmarks/bullet_builds.py``); one that does not
+    changes the probe.
+    """
+    return {name: value for name, value in (fingerprint or {}).items() if name != "pybullet"}
+
+
 def require_bullet() -> None:
-    """Check that simulation is possible here.
+    """Check that simulation is possible here, before anything starts.
 
     Raises
     ------
@@ -35,15 +45,5 @@ def require_bullet() -> None:
     if find_spec("pybullet") is None:
         raise InputError(
             "simulation needs PyBullet, which is not installed",
-            hint=f"pip install {FORK}; without a wheel for this platform this needs a C++ compiler: docs/install.md",
+            hint=f"pip install {FORK}; platforms with wheels, and how to compile it: docs/install.md",
         )
-
-
-def same_simulator(a: Mapping[str, str] | None, b: Mapping[str, str] | None) -> bool:
-    """Whether two fingerprints are of simulators that agree bit for bit.
-
-    Constants and the outcomes of the probe decide. The name of the build does not: two builds of the same source
-    that compute the same bits are one simulator (``benchmarks/bullet_builds.py``).
-    """
-    first, second = ({k: v for k, v in (mark or {}).items() if k != "pybullet"} for mark in (a, b))
-    return first == second

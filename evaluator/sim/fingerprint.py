@@ -18,9 +18,8 @@ def fingerprint() -> dict[str, str]:
     Returns
     -------
     dict
-        ``pybullet``: the build of Bullet (``evaluator.sim.bullet.bullet_version``); ``parameters``: sha256 of every
-        constant; ``probe``: sha256 of the outcomes of fixed attempts, every bit of them. Results are comparable bit
-        for bit where the last two agree (``evaluator.sim.bullet.same_simulator``).
+        ``pybullet``: the build of Bullet; ``parameters``: sha256 of every constant; ``probe``: sha256 of the outcomes
+        of fixed attempts, every bit of them. Results are comparable bit for bit only where the last two agree.
     """
     simulator = Simulator()
     try:
