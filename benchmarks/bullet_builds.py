@@ -1,7 +1,9 @@
 """Do builds of Bullet agree? Hashes outcomes in this interpreter, and compares them with those in other interpreters.
 
     python benchmarks/bullet_builds.py                                          # this interpreter's hashes
-    python benchmarks/bullet_builds.py --against venv312/bin/python venv313/bin/python
+    python benchmarks/bullet_builds.py --against venv-3.12/bin/python venv-3.13/bin/python \\
+        --json benchmarks/results/bullet_builds.json
+    python benchmarks/bullet_builds.py --page                                   # docs/install.md from that file
 
 Every interpreter acts at the last step of the first test scenarios of a task, once as ``scripted`` and once as
 ``random`` would, and hashes action, outcome and the state in which the simulation ended: one different bit is a
@@ -24,13 +26,17 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.determinism import digest
-from benchmarks.results import finish, parser, target
+from benchmarks.report import measured
+from benchmarks.results import RESULTS, ROOT, finish, parser, target
 from benchmarks.situations import Case, choose
 from evaluator.scenarios import load_list
 from evaluator.sim.bullet import bullet_version
 from evaluator.sim.simulator import Simulator
 from rema_data.schema import TASKS
 
+PAGE = ROOT / "docs" / "install.md"
+START = "<!-- builds: made by benchmarks/bullet_builds.py -->"
+END = "<!-- end of builds -->"
 POLICIES = ("scripted", "random")
 SEED = 20211203
 
@@ -62,13 +68,25 @@ def hashes_of(interpreter: str, outcomes: int) -> dict[str, Any]:
     return found
 
 
+def page(text: str) -> str:
+    """``text`` with the lines between the markers made from the committed result."""
+    head, rest = text.split(START)
+    content = json.loads((RESULTS / "bullet_builds.json").read_text(encoding="utf-8"))
+    lines = "\n".join(measured(content)).strip()
+    return f"{head}{START}\n\n{lines}\n\n{END}{rest.split(END)[1]}"
+
+
 def main() -> int:
     """Measure and print; the exit code is 6 if anything differs."""
     options = parser(__doc__)
     options.add_argument("--episodes", type=int, default=2000, help="outcomes of each task (default 2000)")
     options.add_argument("--against", nargs="+", default=[], metavar="PYTHON", help="interpreters to compare with")
     options.add_argument("--hashes", action="store_true", help="print every hash as JSON, and nothing else")
+    options.add_argument("--page", action="store_true", help="only write the committed result into docs/install.md")
     arguments = options.parse_args()
+    if arguments.page:
+        PAGE.write_text(page(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+        return 0
     here = hashes(arguments.episodes)
     if arguments.hashes:
         print(json.dumps(here))
