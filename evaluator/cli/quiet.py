@@ -6,11 +6,14 @@ import importlib
 import os
 import sys
 
+from evaluator.sim.bullet import require_bullet
+
 __all__ = ["import_pybullet"]
 
 
 def import_pybullet() -> None:
     """Import PyBullet with standard error closed: only the command writes there."""
+    require_bullet()
     if sys.stderr is None:  # closed by the caller
         return
     sys.stderr.flush()

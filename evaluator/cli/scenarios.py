@@ -50,6 +50,9 @@ def scenarios(
     from evaluator.engines import default_workers
     from evaluator.engines.child import process_pool
     from evaluator.policy.loading import resolve, weights_of
+    from evaluator.sim.bullet import require_bullet
+
+    require_bullet()
     from evaluator.rollout.picks import open_picker
     from evaluator.scenarios.generation import write_lists
     from rema_data.storage import rema_home

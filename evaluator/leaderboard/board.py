@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from evaluator.leaderboard.ranking import LEVEL, Pair, rank_runs
 from evaluator.leaderboard.row import PUBLISHED, Row, published_rows, row_of
 from evaluator.run.entry import read_scored
 from evaluator.run.scored import ScoredRun
+from evaluator.sim.bullet import decisive
 from evaluator.statistics import detectable_difference
 from rema_data.errors import RemaError
 from rema_data.schema import TASKS
@@ -136,8 +138,9 @@ def _remarks(rows: Sequence[Row], pairs: Sequence[Pair]) -> Iterator[str]:
         if row.unranked and row.tag != PUBLISHED:
             yield f"{row.policy} ({row.task}, {row.protocol}) has no rank: {row.unranked}."
     for task, protocol in dict.fromkeys((row.task, row.protocol) for row in rows):
-        marks = {row.fingerprint for row in rows if (row.task, row.protocol) == (task, protocol) and not row.unranked}
-        if len(marks) > 1:
+        ranked = [row for row in rows if (row.task, row.protocol) == (task, protocol) and not row.unranked]
+        marks = [decisive(json.loads(row.fingerprint or "{}")) for row in ranked]
+        if any(mark != marks[0] for mark in marks):
             yield (
                 f"ANOTHER SIMULATOR: the runs of {task} ({protocol}) come from different builds or constants of the "
                 "simulator: a part of their difference may be the simulator's."

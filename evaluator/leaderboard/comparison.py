@@ -12,6 +12,7 @@ import numpy.typing as npt
 from evaluator.leaderboard.eligibility import installed_list
 from evaluator.run.scored import Outcomes, ScoredRun
 from evaluator.scenarios.strata import Targets, strata, targets_of_list, targets_of_run
+from evaluator.sim.bullet import decisive
 from evaluator.statistics import (
     PairTable,
     benjamini_hochberg,
@@ -205,7 +206,7 @@ def _check_comparable(a: ScoredRun, b: ScoredRun) -> None:
 
 def _remarks(a: ScoredRun, b: ScoredRun, n: int, lost: int) -> list[str]:
     found = []
-    if a.marks.fingerprint != b.marks.fingerprint:
+    if decisive(a.marks.fingerprint) != decisive(b.marks.fingerprint):
         found.append(
             "ANOTHER SIMULATOR: the runs come from different builds or constants of the simulator "
             f"({_differences(a, b)}). A part of the difference may be the simulator's: evaluate one of them again."

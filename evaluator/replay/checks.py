@@ -16,6 +16,7 @@ from evaluator.run.header import RUN_FILE
 from evaluator.run.plan import Plan
 from evaluator.run.seal import ACTIONS_FILE, EPISODES_FILE, SUMMARY_FILE
 from evaluator.scenarios import ScenarioList, load_list
+from evaluator.sim.bullet import decisive
 from rema_data import grid
 from rema_data.errors import RunMismatchError
 
@@ -63,8 +64,8 @@ def world_differences(
         Of the run's task and protocol, here.
     """
     recorded = identity.get("fingerprint")
-    known = recorded if isinstance(recorded, dict) else {}
-    pairs = {name: (known.get(name), fingerprint.get(name)) for name in sorted(known.keys() | fingerprint.keys())}
+    known, here = decisive(recorded if isinstance(recorded, dict) else {}), decisive(fingerprint)
+    pairs = {name: (known.get(name), here.get(name)) for name in sorted(known.keys() | here.keys())}
     pairs["protocol_hash"] = (identity.get("protocol_hash"), protocol_hash)
     return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
 

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from evaluator.engines import FINGERPRINT, SIMULATOR
 from evaluator.run.environment import source_digest
+from evaluator.sim.bullet import require_bullet
 from rema_data.schema import Observation, Situation
 
 if TYPE_CHECKING:
@@ -71,7 +72,14 @@ class Backend:
 
 
 def default_backend() -> Backend:
-    """The real world and the real host."""
+    """The real world and the real host.
+
+    Raises
+    ------
+    InputError
+        PyBullet is not installed.
+    """
+    require_bullet()
     from evaluator.policy import PolicyHost, digest
     from evaluator.protocol import protocol_hash
     from evaluator.sim import DECIDES

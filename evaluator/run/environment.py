@@ -15,9 +15,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from evaluator.sim.bullet import bullet_version
+
 __all__ = ["code_commit", "environment", "source_digest"]
 
-_PACKAGES = ("rema", "numpy", "pybullet", "torch", "openvino", "pyarrow", "scipy")
+_PACKAGES = ("rema", "numpy", "torch", "openvino", "pyarrow", "scipy")
 _OWN = ("rema_data", "evaluator", "baselines")
 _NOTE = "_commit.json"
 """Written by hatch_build.py."""
@@ -41,7 +43,7 @@ def environment() -> dict[str, Any]:
 
 
 def _versions() -> dict[str, str]:
-    found = {}
+    found = {} if (bullet := bullet_version()) is None else {"pybullet": bullet}
     for name in _PACKAGES:
         try:
             found[name] = version(name)

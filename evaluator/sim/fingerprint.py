@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from importlib.metadata import version
 from typing import Any
 
+from evaluator.sim.bullet import bullet_version
 from evaluator.sim.parameters import WORLD, parameters_hash
 from evaluator.sim.simulator import Simulator
 from rema_data import grid
@@ -19,8 +19,8 @@ def fingerprint() -> dict[str, str]:
     Returns
     -------
     dict
-        ``pybullet``: version of the wheel; ``parameters``: sha256 of every constant; ``probe``: sha256 of the outcomes
-        of fixed attempts, every bit of them. Results are comparable bit for bit only where all three agree.
+        ``pybullet``: the build of Bullet; ``parameters``: sha256 of every constant; ``probe``: sha256 of the outcomes
+        of fixed attempts, every bit of them. Results are comparable bit for bit only where the last two agree.
     """
     simulator = Simulator()
     try:
@@ -29,7 +29,7 @@ def fingerprint() -> dict[str, str]:
         simulator.close()
     text = json.dumps(outcomes, sort_keys=True)
     return {
-        "pybullet": version("pybullet"),
+        "pybullet": bullet_version() or "unknown",
         "parameters": parameters_hash(),
         "probe": hashlib.sha256(text.encode()).hexdigest(),
     }

@@ -32,7 +32,7 @@ def doctor(*arguments: str) -> Result:
 def test_all_is_well(machine: Path) -> None:
     result = doctor()
     assert result.exit_code == 0, result.output
-    for words in ("pybullet", "==3.2.7", f"REMA_HOME is {machine / 'home'} (writable", "published", "2/2", "samples/s"):
+    for words in ("pybullet", "==3.2.", f"REMA_HOME is {machine / 'home'} (writable", "published", "2/2", "samples/s"):
         assert words in result.stdout
     assert "nothing is wrong" in result.stdout
     assert "reading tiny" in result.stderr

@@ -16,7 +16,7 @@ from evaluator.leaderboard.submission import make_entry
 from evaluator.run.entry import encode
 from evaluator.statistics import holm, midp_mcnemar, pair_table
 from rema_data.errors import IntegrityError, MissingFileError
-from tests.evaluator.runs import AUDIT, EPISODES, Bools, solved, write_manifests, write_run
+from tests.evaluator.runs import AUDIT, EPISODES, FINGERPRINT, Bools, solved, write_manifests, write_run
 
 Write = Callable[..., Path]
 
@@ -149,6 +149,9 @@ def test_another_simulator_is_said_loudly(write: Write) -> None:
     board = leaderboard(sources)
     assert remark(board, "ANOTHER SIMULATOR") and all(row.rank for row in rows(board).values())
     assert not remark(leaderboard(sources[:1]), "ANOTHER SIMULATOR")
+    build = {"fingerprint": {**FINGERPRINT, "pybullet": "pybullet-arm64-3.2.8"}}
+    same_bits = write("c", solved(0.4, 3), identity=build)
+    assert not remark(leaderboard([sources[0], same_bits]), "ANOTHER SIMULATOR")
 
 
 def test_the_end_to_end_rate_stands_beside_the_conditional_one(write: Write) -> None:

@@ -18,7 +18,7 @@ from evaluator.run.scored import read_run
 from evaluator.run.tables import to_parquet
 from evaluator.statistics import detectable_difference, midp_mcnemar, pair_table, paired_interval
 from rema_data.errors import InputError, IntegrityError, MissingFileError
-from tests.evaluator.runs import EPISODES, solved, write_manifests, write_run
+from tests.evaluator.runs import EPISODES, FINGERPRINT, solved, write_manifests, write_run
 
 A, B = solved(0.6, 1), solved(0.5, 2)
 
@@ -108,6 +108,11 @@ def test_another_simulator_is_said_loudly(tmp_path: Path, a: Path) -> None:
     other = write_run(tmp_path / "b", B, identity={"fingerprint": {"pybullet": "3.2.8", "probe": "c" * 64}})
     (remark,) = compare(read_run(a), read_run(other)).remarks
     assert remark.startswith("ANOTHER SIMULATOR") and "pybullet 3.2.7 and 3.2.8" in remark
+
+
+def test_another_build_that_gives_the_same_bits_is_the_same_simulator(tmp_path: Path, a: Path) -> None:
+    other = write_run(tmp_path / "b", B, identity={"fingerprint": {**FINGERPRINT, "pybullet": "pybullet-arm64-3.2.8"}})
+    assert compare(read_run(a), read_run(other)).remarks == compare(read_run(a), read_run(a)).remarks
 
 
 def test_a_shorter_run_is_compared_where_it_can_be(tmp_path: Path, a: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import shutil
+import sys
 from importlib import metadata
 from pathlib import Path
 
@@ -18,13 +19,15 @@ from rema_data.release.registry import load_published, register
 from rema_data.testing import make_release
 from tests.rema_data.verify.damage import flip
 
+BULLET = "pybullet" if sys.version_info < (3, 12) else "pybullet-arm64"
+
 
 def test_versions_against_the_ranges_of_the_package() -> None:
     found = {item.name: item for item in package_versions()}
-    assert {"python", "rema", "numpy", "zarr", "torch", "pyarrow", "pybullet"} <= set(found)
+    assert {"python", "rema", "numpy", "zarr", "torch", "pyarrow", BULLET} <= set(found)
     assert "matplotlib" not in found  # of an extra
     assert all(item.ok for item in found.values())
-    assert found["pybullet"].wanted == "==3.2.7"
+    assert found[BULLET].wanted == f"=={metadata.version(BULLET)}"
     assert found["numpy"].version == metadata.version("numpy")
 
 
@@ -34,12 +37,12 @@ def test_versions_out_of_range(monkeypatch: pytest.MonkeyPatch) -> None:
     def version(name: str) -> str:
         if name == "zarr":
             raise metadata.PackageNotFoundError(name)
-        return "3.2.6" if name == "pybullet" else real(name)
+        return "3.2.6" if name == BULLET else real(name)
 
     monkeypatch.setattr(metadata, "version", version)
     found = {item.name: item for item in package_versions()}
     assert (found["zarr"].version, found["zarr"].ok) == (None, False)
-    assert not found["pybullet"].ok and found["numpy"].ok
+    assert not found[BULLET].ok and found["numpy"].ok
 
 
 def test_a_machine_in_order(machine: Path) -> None:
