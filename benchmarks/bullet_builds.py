@@ -1,7 +1,7 @@
-"""Do builds of Bullet agree? Hashes outcomes in this interpreter, and compares them with those in other interpreters.
+r"""Do builds of Bullet agree? Hashes outcomes in this interpreter, and compares them with those in other interpreters.
 
     python benchmarks/bullet_builds.py                                          # this interpreter's hashes
-    python benchmarks/bullet_builds.py --against venv-3.12/bin/python venv-3.13/bin/python \\
+    python benchmarks/bullet_builds.py --against venv-3.12/bin/python venv-3.13/bin/python \
         --json benchmarks/results/bullet_builds.json
     python benchmarks/bullet_builds.py --page                                   # docs/install.md from that file
 

@@ -1,4 +1,4 @@
-"""The comparison of builds of Bullet: an interpreter agrees with itself, another outcome is counted, the page is made."""
+"""The comparison of builds of Bullet: a build agrees with itself, another outcome is counted, the page is made."""
 
 from __future__ import annotations
 
