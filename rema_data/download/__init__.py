@@ -6,15 +6,13 @@
     release = rema_data.load("rema-mini")
 
 Read in this order: ``fetch`` (the call), ``plan`` (what is here, what is missing), ``pool`` (threads), ``transfer``
-(one file, until it is whole), ``mirrors`` (which sources are still asked), ``sources`` (what a source answers) and
-``part`` (the bytes that have arrived).
+(one file, until it is whole, and which sources are still asked), ``sources`` (where a file comes from), ``web`` (HTTP)
+and ``part`` (the bytes that have arrived).
 """
 
 from __future__ import annotations
 
 from rema_data.download.fetch import download
-from rema_data.download.plan import BlockPlan
-from rema_data.download.pool import Progress
-from rema_data.download.report import DownloadReport
+from rema_data.download.plan import BlockPlan, DownloadReport
 
-__all__ = ["BlockPlan", "DownloadReport", "Progress", "download"]
+__all__ = ["BlockPlan", "DownloadReport", "download"]

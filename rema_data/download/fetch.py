@@ -9,12 +9,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from rema_data.download.plan import Plan, check_space, make_plan
-from rema_data.download.pool import Outcome, Progress, Silent, fetch_files
-from rema_data.download.report import DownloadReport
+from rema_data.download.failures import Undelivered
+from rema_data.download.plan import DownloadReport, Plan, check_space, make_plan
+from rema_data.download.pool import Outcome, fetch_files
 from rema_data.download.sources import Source
-from rema_data.download.transfer import Undelivered
 from rema_data.errors import InputError, IntegrityError, MissingFileError, RunMismatchError, StorageError
+from rema_data.progress import Progress, Silent
 from rema_data.release.folder import ReleaseFolder, downloads_folder, local_sources
 from rema_data.release.manifest import MANIFEST, Manifest, parse_manifest
 from rema_data.release.registry import load_published, newest, published

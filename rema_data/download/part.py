@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
 import os
+import queue
+import threading
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from rema_data.download.digest import Digest
 from rema_data.storage import storage_errors, sync_folder
 
 __all__ = ["SUFFIX", "PartFile"]
@@ -19,6 +22,10 @@ _WRITE = 1 << 16
 virtual machine; with smaller ones the threads of several files hold each other up."""
 _FLUSH = 8 << 20
 """Bytes after which the system is told to begin writing them to the disk, so that the flush at the end is short."""
+_LARGE = 4 << 20
+"""More bytes than these are hashed by a thread of their own, while the next ones arrive."""
+_AHEAD = 4
+"""Pieces that wait to be hashed, at most."""
 
 
 class PartFile:
@@ -54,8 +61,7 @@ class PartFile:
                     self._file.truncate(0)
                     self.position = 0
                 self._file.seek(0)
-                self._digest = Digest(self.size - self.position)
-                self._digest.read(self._file)
+                self._digest = _Digest(self._file, self.size - self.position > _LARGE)
             except BaseException:
                 self._file.close()
                 raise
@@ -68,23 +74,20 @@ class PartFile:
         self._digest.close()
         self._file.close()
 
-    def space(self) -> memoryview:
-        """A buffer for the next bytes of the file: some of them, and at least one."""
-        return self._digest.space()[: self.size - self.position]
-
-    def grow(self, count: int) -> None:
-        """The next ``count`` bytes are at the beginning of the space: add them.
+    def add(self, data: bytes) -> None:
+        """Add the next bytes.
 
         Raises
         ------
         StorageError
             The disk is full, for example.
         """
-        view = self._digest.add(count)
+        self._digest.update(data)
+        view = memoryview(data)
         with storage_errors(self.path):
             while view:
                 view = view[self._file.write(view[:_WRITE]) :]
-            self.position += count
+            self.position += len(data)
             if self.position - self._begun >= _FLUSH:
                 self._begin_to_flush()
 
@@ -119,3 +122,37 @@ class PartFile:
             advice = os.POSIX_FADV_DONTNEED
             os.posix_fadvise(self._file.fileno(), self._begun, self.position - self._begun, advice)
         self._begun = self.position
+
+
+class _Digest:
+    """The sha256 of a file and of the bytes that are added to it, hashed by another thread where they are many."""
+
+    def __init__(self, file: io.FileIO, threaded: bool) -> None:
+        self._hash = hashlib.file_digest(file, "sha256")
+        self._waiting: queue.Queue[bytes | None] = queue.Queue(_AHEAD)
+        self._threaded = threaded
+        if threaded:
+            threading.Thread(target=self._work, name="rema sha256", daemon=True).start()
+
+    def update(self, data: bytes) -> None:
+        if self._threaded:
+            self._waiting.put(data)
+        else:
+            self._hash.update(data)
+
+    def hexdigest(self) -> str:
+        self._waiting.join()
+        return self._hash.hexdigest()
+
+    def restart(self) -> None:
+        self._waiting.join()
+        self._hash = hashlib.sha256()
+
+    def close(self) -> None:
+        if self._threaded:
+            self._waiting.put(None)
+
+    def _work(self) -> None:
+        while (data := self._waiting.get()) is not None:
+            self._hash.update(data)
+            self._waiting.task_done()

@@ -1,12 +1,13 @@
-"""What a download has to fetch: which files of a release are wanted, which are here, and what is missing."""
+"""What a download has to fetch (which files are wanted, here and missing), and the report of what it has done."""
 
 from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from rema_data.download.part import SUFFIX
 from rema_data.download.sources import Source
@@ -15,7 +16,7 @@ from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, FileEntry
 from rema_data.release.seal import file_sha256
 
-__all__ = ["BlockPlan", "Plan", "check_space", "make_plan"]
+__all__ = ["BlockPlan", "DownloadReport", "Plan", "check_space", "make_plan"]
 
 WHOLE = "(release)"
 """Stands for the files that belong to no block: datasheet and the like."""
@@ -43,6 +44,60 @@ class BlockPlan:
     missing_files: int
     missing_bytes: int
     source: str
+
+
+@dataclass(frozen=True, slots=True)
+class DownloadReport:
+    """The result of a download.
+
+    Attributes
+    ----------
+    name, sha256 : str
+        Release and its identity.
+    root : Path
+        The folder of releases; the release's own folder is ``root / name``.
+    files, bytes : int
+        What was asked for.
+    present_files, present_bytes : int
+        What of it was there already.
+    fetched_files, fetched_bytes : int
+        What was not, and is there now (nothing in a dry run).
+    moved_bytes : int
+        What came from the sources: less than ``fetched_bytes`` where an earlier run had begun, more where bytes had
+        to be thrown away.
+    sources : dict of str to int
+        Files that every source has delivered.
+    asked : tuple of str
+        Sources in the order in which they are asked.
+    blocks : tuple of BlockPlan
+        As it was before the download.
+    dry_run : bool
+        Nothing was fetched.
+    """
+
+    name: str
+    sha256: str
+    root: Path
+    files: int
+    bytes: int
+    present_files: int
+    present_bytes: int
+    fetched_files: int
+    fetched_bytes: int
+    moved_bytes: int
+    sources: Mapping[str, int]
+    asked: tuple[str, ...]
+    blocks: tuple[BlockPlan, ...]
+    dry_run: bool
+
+    @property
+    def path(self) -> Path:
+        """The release's own folder."""
+        return self.root / self.name
+
+    def to_dict(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        return asdict(self) | {"root": str(self.root), "path": str(self.path)}
 
 
 @dataclass(frozen=True, slots=True)

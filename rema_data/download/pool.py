@@ -4,72 +4,20 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
-from rema_data.download.mirrors import Mirrors
+from rema_data.download.failures import Stopped, Undelivered
 from rema_data.download.sources import Source
-from rema_data.download.transfer import Stopped, Transfer, Undelivered
+from rema_data.download.transfer import Mirrors, Transfer
+from rema_data.progress import Progress
 from rema_data.release.manifest import FileEntry
 
-__all__ = ["Outcome", "Progress", "Serialised", "Silent", "fetch_files"]
+__all__ = ["Outcome", "fetch_files"]
 
 _GRACE_S = 1.0
 """So long an interrupted download waits for its threads. One that is stuck in a read ends later and writes nothing."""
-
-
-class Progress(Protocol):
-    """Where a download says how far it is. Its methods are called by one thread at a time."""
-
-    def phase(self, name: str, total: int) -> None:
-        """A phase of ``total`` bytes begins."""
-        ...
-
-    def advance(self, n: int) -> None:
-        """So many bytes more are there; negative where bytes were thrown away."""
-        ...
-
-    def note(self, text: str) -> None:
-        """Something worth a line."""
-        ...
-
-
-class Silent:
-    """Progress that shows nothing."""
-
-    def phase(self, name: str, total: int) -> None:
-        """Ignore."""
-
-    def advance(self, n: int) -> None:
-        """Ignore."""
-
-    def note(self, text: str) -> None:
-        """Ignore."""
-
-
-class Serialised:
-    """Progress that threads share."""
-
-    def __init__(self, progress: Progress) -> None:
-        self._progress = progress
-        self._lock = threading.Lock()
-
-    def phase(self, name: str, total: int) -> None:
-        """As ``Progress.phase``."""
-        with self._lock:
-            self._progress.phase(name, total)
-
-    def advance(self, n: int) -> None:
-        """As ``Progress.advance``."""
-        with self._lock:
-            self._progress.advance(n)
-
-    def note(self, text: str) -> None:
-        """As ``Progress.note``."""
-        with self._lock:
-            self._progress.note(text)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,14 +49,38 @@ def fetch_files(
     StorageError
         The disk is full or may not be written: the other threads are stopped. What has arrived stays.
     """
-    shared = Serialised(progress)
-    mirrors = Mirrors(sources, patience=jobs + 2, note=shared.note)
-    stop = threading.Event()
+    stop, lock = threading.Event(), threading.Lock()
     waiting: queue.SimpleQueue[FileEntry] = queue.SimpleQueue()
     done: queue.SimpleQueue[tuple[int, BaseException | None]] = queue.SimpleQueue()
     for entry in sorted(entries, key=lambda entry: -entry.bytes):
         waiting.put(entry)
-    work = _worker(root, mirrors, shared, stop, waiting, done)
+
+    def note(text: str) -> None:
+        with lock:
+            progress.note(text)
+
+    def advance(n: int) -> None:
+        with lock:
+            progress.advance(n)
+
+    mirrors = Mirrors(sources, patience=jobs + 2, note=note)
+
+    def work() -> None:
+        while not stop.is_set():
+            try:
+                entry = waiting.get_nowait()
+            except queue.Empty:
+                return
+            transfer = Transfer(entry, root / entry.location, mirrors, advance, stop)
+            error: BaseException | None = None
+            try:
+                transfer.run()
+            except Stopped:
+                return
+            except BaseException as caught:
+                error = caught
+            done.put((transfer.moved, error))
+
     count = min(jobs, len(entries))
     threads = [threading.Thread(target=work, name=f"rema download {n}", daemon=True) for n in range(count)]
     moved, undelivered = 0, []
@@ -130,32 +102,3 @@ def fetch_files(
         for source in sources:
             source.close()
     return Outcome(moved, mirrors.used(), tuple(undelivered))
-
-
-def _worker(
-    root: Path,
-    mirrors: Mirrors,
-    progress: Progress,
-    stop: threading.Event,
-    waiting: queue.SimpleQueue[FileEntry],
-    done: queue.SimpleQueue[tuple[int, BaseException | None]],
-) -> Callable[[], None]:
-    """What a thread does: fetch files until there are none."""
-
-    def work() -> None:
-        while not stop.is_set():
-            try:
-                entry = waiting.get_nowait()
-            except queue.Empty:
-                return
-            transfer = Transfer(entry, root / entry.location, mirrors, progress.advance, stop)
-            error: BaseException | None = None
-            try:
-                transfer.run()
-            except Stopped:
-                return
-            except BaseException as caught:
-                error = caught
-            done.put((transfer.moved, error))
-
-    return work

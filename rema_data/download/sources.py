@@ -9,14 +9,17 @@ from __future__ import annotations
 import os
 import re
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
-from rema_data.download.http import Closing, WebFolder
-from rema_data.download.stream import Faltered, Refused, Stream, answered
+from urllib3.exceptions import HTTPError
+from urllib3.exceptions import TimeoutError as WebTimeoutError
+
+from rema_data.download.failures import Faltered, Refused, answered
+from rema_data.download.web import WebFolder
 from rema_data.errors import InputError
 
 __all__ = ["Source"]
@@ -25,6 +28,7 @@ _CHUNK = 1 << 20
 _BLOCK = 2 << 20
 """Bytes of one request to a store that is read in blocks, such as S3. At most so many are lost by a kill."""
 _LONGEST_ANSWER = 200
+_TIMEOUTS = (TimeoutError, WebTimeoutError)
 
 
 class Source:
@@ -92,7 +96,7 @@ class Source:
         return Path(self._filesystem()[1]) if self.local else None
 
     @contextmanager
-    def open(self, location: str, start: int, size: int) -> Iterator[Stream]:
+    def open(self, location: str, start: int, size: int) -> Iterator[tuple[int, Callable[[int], bytes]]]:
         """A file from byte ``start`` on.
 
         Parameters
@@ -103,28 +107,38 @@ class Source:
         size : int
             Bytes of the whole file.
 
+        Yields
+        ------
+        int
+            Offset of the first byte: ``start``, or 0 where a server ignores ranges.
+        callable
+            Takes the largest number of bytes to read. The next bytes, as many as have arrived; empty at the end.
+
         Raises
         ------
         Refused
             It is not there, or has another size, or something else comes in its place.
         Faltered
-            The source does not answer now.
+            The source does not answer now. Reading raises both as well.
         """
-        try:
-            if self._web is None:
-                file, stream = self._open_blocks(location, start, size)
-            else:
-                file, stream = self._web.open(location, start, size, self._judge)
-        except (Refused, Faltered):
-            raise
-        except TimeoutError as error:
-            raise Refused("does not answer") from error
-        except Exception as error:
-            raise self._judge(error) from error
-        try:
-            yield stream
-        finally:
-            file.close()
+        opened = self._open_blocks if self._web is None else self._web.open
+        with ExitStack() as stack:
+            try:
+                first, read = stack.enter_context(opened(location, start, size))
+            except (Refused, Faltered):
+                raise
+            except _TIMEOUTS as error:
+                raise Refused("does not answer") from error
+            except Exception as error:
+                raise self._failure(error) from error
+
+            def next_bytes(most: int) -> bytes:
+                try:
+                    return read(most)
+                except Exception as error:
+                    raise self._failure(error) from error
+
+            yield first, next_bytes
 
     def close(self) -> None:
         """Close the connections that are kept for the next file."""
@@ -141,22 +155,19 @@ class Source:
                 self._opened = filesystem, str(path)
             return self._opened
 
-    def _open_blocks(self, location: str, start: int, size: int) -> tuple[Closing, Stream]:
+    @contextmanager
+    def _open_blocks(self, location: str, start: int, size: int) -> Iterator[tuple[int, Callable[[int], bytes]]]:
         filesystem, base = self._filesystem()
         path = f"{base.rstrip('/')}/{location}" if base else location
         got = filesystem.size(path)
         if got is not None and got != size:
             raise Refused(f"has {got:,} bytes there, expected {size:,}")
-        file = filesystem.open(path, "rb", block_size=_BLOCK, cache_type="none")
-        try:
+        with filesystem.open(path, "rb", block_size=_BLOCK, cache_type="none") as file:
             if start:
                 file.seek(start)
-        except BaseException:
-            file.close()
-            raise
-        return file, Stream(start, _CHUNK if self.local else _BLOCK, file.readinto, self._judge)
+            yield start, lambda most: file.read(min(most, _CHUNK if self.local else _BLOCK))
 
-    def _judge(self, error: Exception) -> Refused | Faltered:
+    def _failure(self, error: Exception) -> Refused | Faltered:
         """What an exception of a file system or of a server means for this file."""
         if isinstance(error, FileNotFoundError | NotADirectoryError):
             folder = self.folder() if self.local else None
@@ -171,12 +182,17 @@ class Source:
             return Refused(f"cannot be read here: {self._words(error)}")
         status = getattr(error, "status", None)
         if isinstance(status, int) and status >= HTTPStatus.BAD_REQUEST:
-            return answered(status, getattr(error, "message", ""), None)
-        if isinstance(error, TimeoutError):
+            return answered(status, getattr(error, "message", ""))
+        if isinstance(error, _TIMEOUTS):
             return Faltered("sends nothing more")
         return Faltered(self._words(error))
 
     def _words(self, error: Exception) -> str:
+        """The cause of an error in a line."""
+        if isinstance(error, HTTPError):
+            causes = (error.__cause__, *error.args)
+            cause = next((cause for cause in causes if isinstance(cause, Exception)), None)
+            return str(error) if cause is None else self._words(cause)
         name = type(error).__name__
         lines = str(error).replace(self.url, self.label).splitlines()
         if not lines:

@@ -7,16 +7,16 @@ and asks again those that may recover. A connection that drops goes on at the by
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from rema_data.download.mirrors import Mirrors
+from rema_data.download.failures import Faltered, Refused, Stopped, Undelivered
 from rema_data.download.part import PartFile
 from rema_data.download.sources import Source
-from rema_data.download.stream import Faltered, Refused
 from rema_data.release.manifest import FileEntry
 
-__all__ = ["Stopped", "Transfer", "Undelivered"]
+__all__ = ["Mirrors", "Transfer"]
 
 WAITS_S = (0.0, 0.5, 1.0, 2.0)
 """Pause before every pass over the sources, s."""
@@ -27,27 +27,57 @@ DROPS = 8
 BYTES_PER_DROP = 1 << 20
 
 
-class Stopped(Exception):
-    """The download was interrupted."""
+class Mirrors:
+    """The sources of a download, in order, with what is known of them. Threads share it.
 
-
-class Undelivered(Exception):
-    """No source has delivered a file.
-
-    Attributes
+    Parameters
     ----------
-    entry : FileEntry
-    answers : dict of str to str
-        What every source said, by its label.
-    corrupt : bool
-        Whether one of them sent other bytes.
+    sources : sequence of Source
+    patience : int
+        A source that fails for so many files in a row is given up. More than the number of threads: they all fail at
+        once when a server has a bad second.
+    note : callable
+        Gets a line about a source that is given up.
     """
 
-    def __init__(self, entry: FileEntry, answers: dict[str, str], corrupt: bool) -> None:
-        super().__init__(entry.location)
-        self.entry = entry
-        self.answers = answers
-        self.corrupt = corrupt
+    def __init__(self, sources: Sequence[Source], patience: int, note: Callable[[str], None]) -> None:
+        self._sources = tuple(sources)
+        self._patience = patience
+        self._note = note
+        self._strikes: Counter[Source] = Counter()
+        self._delivered: Counter[Source] = Counter()
+        self._said: dict[Source, str] = {}
+        self._lock = threading.Lock()
+
+    def usable(self) -> list[Source]:
+        """Sources that have not been given up, in order."""
+        with self._lock:
+            return [source for source in self._sources if self._strikes[source] < self._patience]
+
+    def given_up(self) -> dict[Source, str]:
+        """Sources that have been given up, with what they said last."""
+        with self._lock:
+            return {source: self._said[source] for source in self._sources if self._strikes[source] >= self._patience}
+
+    def settle(self, winner: Source | None, failed: Mapping[Source, str]) -> None:
+        """A file is done with: ``winner`` has delivered it, ``failed`` should have, and said why they could not."""
+        skipped = []
+        with self._lock:
+            for source in failed.keys() - {winner}:
+                self._strikes[source] += 1
+                self._said[source] = failed[source]
+                if self._strikes[source] == self._patience:
+                    skipped.append(source)
+            if winner is not None:
+                self._delivered[winner] += 1
+                self._strikes[winner] = 0
+        for source in skipped:
+            self._note(f"{source.label} keeps failing ({failed[source]}): it is not asked any more")
+
+    def used(self) -> dict[str, int]:
+        """Files that every source has delivered, by its label."""
+        with self._lock:
+            return {source.label: self._delivered[source] for source in self._sources if self._delivered[source]}
 
 
 class Transfer:
@@ -159,20 +189,20 @@ class Transfer:
     def _stream(self, part: PartFile, source: Source) -> None:
         """One connection, from where the file stands to its end."""
         self._raise_if_stopped()
-        with source.open(self.entry.location, part.position, part.size) as stream:
-            skip = part.position - stream.start
+        with source.open(self.entry.location, part.position, part.size) as (start, read):
+            skip = part.position - start
             self._origins.add(source)
             while part.position < part.size:
-                count = stream.readinto(part.space()[: skip or None])
+                data = read(skip or part.size - part.position)
                 self._raise_if_stopped()
-                if not count:
+                if not data:
                     raise Faltered(f"stopped after {part.position:,} of {part.size:,} bytes")
-                self.moved += count
+                self.moved += len(data)
                 if skip:  # what is here already is passed over
-                    skip -= count
+                    skip -= len(data)
                 else:
-                    part.grow(count)
-                    self._advance(count)
+                    part.add(data)
+                    self._advance(len(data))
 
     def _raise_if_stopped(self) -> None:
         if self._stop.is_set():

@@ -1,0 +1,72 @@
+"""How a file can fail to arrive."""
+
+from __future__ import annotations
+
+from http import HTTPStatus
+
+from rema_data.release.manifest import FileEntry
+
+__all__ = ["Faltered", "Refused", "Stopped", "Undelivered", "answered"]
+
+_PASSING = {HTTPStatus.REQUEST_TIMEOUT, HTTPStatus.TOO_EARLY, HTTPStatus.TOO_MANY_REQUESTS}
+
+
+class Refused(Exception):
+    """The source will not deliver this file, however often it is asked.
+
+    Attributes
+    ----------
+    absent : bool
+        It just does not have the file, as a mirror of a part of a release.
+    """
+
+    def __init__(self, why: str, *, absent: bool = False) -> None:
+        super().__init__(why)
+        self.absent = absent
+
+
+class Faltered(Exception):
+    """The source may deliver the file when it is asked again.
+
+    Attributes
+    ----------
+    wait_s : float
+        How long it asks us to wait, s.
+    """
+
+    def __init__(self, why: str, wait_s: float = 0.0) -> None:
+        super().__init__(why)
+        self.wait_s = wait_s
+
+
+class Undelivered(Exception):
+    """No source has delivered a file.
+
+    Attributes
+    ----------
+    entry : FileEntry
+    answers : dict of str to str
+        What every source said, by its label.
+    corrupt : bool
+        Whether one of them sent other bytes.
+    """
+
+    def __init__(self, entry: FileEntry, answers: dict[str, str], corrupt: bool) -> None:
+        super().__init__(entry.location)
+        self.entry = entry
+        self.answers = answers
+        self.corrupt = corrupt
+
+
+class Stopped(Exception):
+    """The download was interrupted."""
+
+
+def answered(status: int, reason: str, retry_after: str = "") -> Refused | Faltered:
+    """What a web server means by a status of 400 or more."""
+    if status == HTTPStatus.NOT_FOUND:
+        return Refused("does not have it", absent=True)
+    answer = f"answered {status} {reason}".strip()
+    if status in _PASSING or status >= HTTPStatus.INTERNAL_SERVER_ERROR:
+        return Faltered(answer, float(retry_after) if retry_after.isdecimal() else 0.0)  # a date is not followed
+    return Refused(answer)
