@@ -55,10 +55,10 @@ def download(
     Sources are asked in this order: those named by --source, the folders of this checkout or package, the mirrors that
     the manifest names. Where one fails, the next is asked.
     """
-    from evaluator.cli.transfer import TransferProgress
+    from evaluator.cli.progress import StderrProgress
     from rema_data.download import download as fetch
 
-    with TransferProgress() as progress:
+    with StderrProgress(in_bytes=True) as progress:
         report = fetch(
             release,
             tasks=tasks or None,

@@ -8,9 +8,11 @@ from types import TracebackType
 from typing import Self
 
 from rich.console import Console
+from rich.filesize import decimal
 from rich.logging import RichHandler
 from rich.progress import (
     BarColumn,
+    DownloadColumn,
     MofNCompleteColumn,
     Progress,
     ProgressColumn,
@@ -18,6 +20,7 @@ from rich.progress import (
     TaskID,
     TextColumn,
     TimeRemainingColumn,
+    TransferSpeedColumn,
 )
 from rich.text import Text
 
@@ -35,16 +38,24 @@ class _Rate(ProgressColumn):
 
 
 class StderrProgress:
-    """Shows phases and notes on stderr, as a context manager (the runner's ``Progress``).
+    """``rema_data.progress.Progress`` on stderr, as a context manager.
 
     Warnings of the library appear above the bars meanwhile.
+
+    Parameters
+    ----------
+    in_bytes : bool
+        The phases count bytes.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, in_bytes: bool = False) -> None:
         self._console = Console(stderr=True)
-        columns = (TextColumn("{task.description:>14}"), BarColumn(None), MofNCompleteColumn(), _Rate())
+        self._in_bytes = in_bytes
+        columns = (DownloadColumn(), TransferSpeedColumn()) if in_bytes else (MofNCompleteColumn(), _Rate())
         more = (TimeRemainingColumn(elapsed_when_finished=True), TextColumn("{task.fields[detail]}"))
-        self._bars = Progress(*columns, *more, console=self._console)
+        self._bars = Progress(
+            TextColumn("{task.description:>14}"), BarColumn(None), *columns, *more, console=self._console
+        )
         self._bar: TaskID | None = None
         self._live = self._console.is_terminal
         self._name, self._total, self._done, self._before = "", 0, 0, 0
@@ -76,7 +87,7 @@ class StderrProgress:
             self._bar = self._bars.add_task(name, total=total, detail="")
 
     def advance(self, n: int) -> None:
-        """So many items more are done."""
+        """``n`` more items are done."""
         self._done += n
         if self._bar is not None:
             self._bars.advance(self._bar, n)
@@ -85,19 +96,19 @@ class StderrProgress:
             self._write_line()
 
     def resume(self, n: int) -> None:
-        """So many items were done by an earlier process: they are no work of this phase's seconds."""
+        """``n`` items were done by an earlier process: they do not count in the rate."""
         self._done = self._before = n
         if self._bar is not None:
             self._bars.reset(self._bar, completed=n)
 
     def tell(self, detail: str) -> None:
-        """How the work of this phase stands, in a few words: beside the bar, and in its lines."""
+        """The state of this phase in a few words, beside the bar and in its lines."""
         self._detail = detail
         if self._bar is not None:
             self._bars.update(self._bar, detail=detail)
 
     def note(self, text: str) -> None:
-        """Something worth a line."""
+        """A message on a line of its own."""
         self._console.print(text, markup=False, highlight=False)
 
     def _end_phase(self) -> None:
@@ -107,6 +118,10 @@ class StderrProgress:
 
     def _write_line(self) -> None:
         seconds = time.monotonic() - self._began
-        rate = f", {(self._done - self._before) / seconds:,.1f}/s" if seconds > 0 else ""
+        speed = (self._done - self._before) / seconds if seconds > 0 else None
+        done, total = str(self._done), str(self._total)
+        rate = "" if speed is None else f", {decimal(int(speed)) if self._in_bytes else f'{speed:,.1f}'}/s"
+        if self._in_bytes:
+            done, total = decimal(self._done), decimal(self._total)
         detail = f", {self._detail}" if self._detail else ""
-        self.note(f"{self._name}: {self._done}/{self._total} in {seconds:.1f} s{rate}{detail}")
+        self.note(f"{self._name}: {done}/{total} in {seconds:.1f} s{rate}{detail}")

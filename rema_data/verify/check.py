@@ -10,12 +10,13 @@ import pyarrow as pa
 
 from rema_data.errors import IntegrityError, RemaError
 from rema_data.manifests import manifests_dir
+from rema_data.progress import Progress, Silent
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import BlockEntry
 from rema_data.release.registry import published
 from rema_data.store.block import EPISODES, STEPS, BlockReader
 from rema_data.store.maps import ARRAYS, MAPS
-from rema_data.verify.files import Progress, absent_blocks, check_files, check_manifest, check_unexpected
+from rema_data.verify.files import absent_blocks, check_files, check_manifest, check_unexpected
 from rema_data.verify.findings import Findings, Report
 from rema_data.verify.leakage import Scenes, frozen_lists, read_frozen
 from rema_data.verify.maps import check_group, check_maps
@@ -25,14 +26,6 @@ __all__ = ["verify"]
 
 _UNREADABLE = (RemaError, pa.ArrowException, ValueError, KeyError, OSError)
 """What reading a table can raise on bytes that are no table."""
-
-
-class _Silent:
-    def phase(self, name: str, total: int) -> None:
-        pass
-
-    def advance(self, n: int) -> None:
-        pass
 
 
 def verify(
@@ -61,7 +54,7 @@ def verify(
     chosen = release.manifest.select(tasks, rounds, split)
     absent = () if (tasks, rounds, split) != (None, None, None) else absent_blocks(release, chosen)
     wanted = tuple(block for block in chosen if block not in absent)
-    return _Verification(release, wanted, absent, progress or _Silent()).run()
+    return _Verification(release, wanted, absent, progress or Silent()).run()
 
 
 @dataclass

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Protocol
 
 from rema_data.download.part import SUFFIX
+from rema_data.progress import Progress
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, BlockEntry, FileEntry
 from rema_data.release.registry import published
@@ -15,17 +15,7 @@ from rema_data.release.seal import file_sha256
 from rema_data.schema import TASKS
 from rema_data.verify.findings import Findings
 
-__all__ = ["Progress", "absent_blocks", "check_files", "check_manifest", "check_unexpected"]
-
-
-class Progress(Protocol):
-    """Where a verification says how far it is."""
-
-    def phase(self, name: str, total: int) -> None:
-        """A phase begins that has ``total`` items."""
-
-    def advance(self, n: int) -> None:
-        """So many items more of the present phase are done."""
+__all__ = ["absent_blocks", "check_files", "check_manifest", "check_unexpected"]
 
 
 def check_manifest(release: ReleaseFolder, findings: Findings) -> set[str]:

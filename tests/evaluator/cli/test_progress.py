@@ -43,3 +43,12 @@ def test_on_a_terminal_it_stands_beside_the_bar(
         progress.tell("loss 0.525")
         progress.advance(1)
     assert "loss 0.525" in capsys.readouterr().err
+
+
+def test_a_phase_in_bytes(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    seconds = iter(range(0, 100, 5))
+    monkeypatch.setattr(module.time, "monotonic", lambda: float(next(seconds)))
+    with StderrProgress(in_bytes=True) as progress:
+        progress.phase("download", 30_000_000)
+        progress.advance(20_000_000)
+    assert "download: 20.0 MB/30.0 MB in 10.0 s, 2.0 MB/s" in capsys.readouterr().err

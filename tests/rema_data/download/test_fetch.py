@@ -15,6 +15,7 @@ import pytest
 
 from rema_data.download import download
 from rema_data.errors import InputError, IntegrityError, MissingFileError, RunMismatchError, StorageError
+from rema_data.progress import Silent
 from rema_data.release.folder import downloads_folder
 from rema_data.release.manifest import MANIFEST
 from rema_data.release.registry import register
@@ -38,7 +39,7 @@ class Usage(NamedTuple):
     free: int
 
 
-class Recorder:
+class Recorder(Silent):
     """Progress that remembers."""
 
     def __init__(self) -> None:

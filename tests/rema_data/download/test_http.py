@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from rema_data.download import download
 from rema_data.errors import IntegrityError, MissingFileError
+from rema_data.progress import Silent
 from rema_data.release.folder import downloads_folder
 from tests.rema_data.download.conftest import BLOCK, Mirrored, Publish, fetched
 from tests.rema_data.download.servers import CHUNK, Fault, Faults, serve
@@ -142,9 +143,7 @@ def test_a_mirror_that_is_down(tiny: Mirrored) -> None:
 def test_a_mirror_that_keeps_failing_is_asked_no_more(publish: Publish) -> None:
     notes: list[str] = []
 
-    class Notes:
-        def phase(self, name: str, total: int) -> None: ...
-        def advance(self, n: int) -> None: ...
+    class Notes(Silent):
         def note(self, text: str) -> None:
             notes.append(text)
 

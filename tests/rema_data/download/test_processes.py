@@ -15,9 +15,9 @@ FILES = {f"{BLOCK}/maps.zarr/scene/c/0": 3 * MB, f"{BLOCK}/maps.zarr/scene/c/1":
 CODE = """
 import sys
 from rema_data.download import download
-class Notes:
+from rema_data.progress import Silent
+class Notes(Silent):
     def phase(self, name, total): print("begins", flush=True)
-    def advance(self, n): pass
     def note(self, text): print(text, flush=True)
 download("tiny", sources=[sys.argv[1]], progress=Notes())
 """
