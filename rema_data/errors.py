@@ -13,7 +13,7 @@
     └── StorageError (OSError)              2   a disk that is full or cannot be written
 
 Every error also inherits the built-in that a newcomer would catch, carries its facts as attributes, and ends with the
-command or the edit that mends it (``hint``). A failed manipulation attempt is data and never one of these.
+command or the edit that fixes it (``hint``). A failed manipulation attempt is data and never one of these.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class RemaError(Exception):
     message : str
         What is wrong, and where.
     hint : str
-        The command or the edit that mends it.
+        The command or the edit that fixes it.
     **facts
         The values that the message is about, kept as attributes of ``facts``.
     """

@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from rema_data.errors import IntegrityError, MissingFileError
+from rema_data.repair import reinstall, restore
 
-__all__ = ["RESTORE", "manifests_dir", "read_manifest"]
+__all__ = ["manifests_dir", "read_manifest"]
 
-RESTORE = "restore it from the repository: git checkout -- manifests"
-"""The hint where a manifest is damaged or missing."""
 _Read = TypeVar("_Read")
 
 
@@ -35,7 +34,8 @@ def manifests_dir() -> Path:
         if folder.is_dir():
             return folder
     searched = ", ".join(str(folder) for folder in choices)
-    hint = "correct or unset REMA_MANIFESTS" if override else "install rema again: pip install --force-reinstall rema"
+    missing = restore(choices[-1]) if (package.parent / ".git").exists() else reinstall()
+    hint = "correct or unset REMA_MANIFESTS" if override else missing
     raise MissingFileError(f"there is no manifests folder at {searched}", hint=hint, searched=searched)
 
 
@@ -59,6 +59,6 @@ def read_manifest(path: Path, what: str, parse: Callable[[Any], _Read]) -> _Read
     try:
         return parse(json.loads(path.read_bytes()))
     except FileNotFoundError:
-        raise MissingFileError(f"{what} {path} does not exist", hint=RESTORE, path=str(path)) from None
+        raise MissingFileError(f"{what} {path} does not exist", hint=restore(path), path=str(path)) from None
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise IntegrityError(f"{what} {path} cannot be read", hint=RESTORE, path=str(path)) from error
+        raise IntegrityError(f"{what} {path} cannot be read", hint=restore(path), path=str(path)) from error

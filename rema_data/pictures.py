@@ -19,6 +19,7 @@ import numpy.typing as npt
 from rema_data import grid
 from rema_data.errors import InputError
 from rema_data.gallery import GalleryStep
+from rema_data.repair import install
 from rema_data.schema import HEIGHT_STEP_M, TASKS, Observation
 from rema_data.storage import write_atomic
 
@@ -183,9 +184,7 @@ def _pillow() -> tuple[Any, Any]:
     try:
         from PIL import Image, ImageDraw
     except ImportError as error:
-        raise InputError(
-            f"pictures need {error.name}, which is not installed", hint='pip install "rema[report]"'
-        ) from error
+        raise InputError(f"pictures need {error.name}, which is not installed", hint=install("rema[report]")) from error
     return Image, ImageDraw
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import platformdirs
 
+from rema_data import repair
 from rema_data.errors import StorageError
 
 __all__ = ["rema_home", "storage_errors", "sync_folder", "write_atomic"]
@@ -30,12 +31,6 @@ _STORAGE = {
     errno.ENAMETOOLONG: "the name is too long",
     errno.ELOOP: "the path is a circle of links",
 }
-_HINTS = {
-    errno.ENOSPC: "free some space or choose another folder, then run the same command again: it resumes",
-    errno.EDQUOT: "free some space or choose another folder, then run the same command again: it resumes",
-    errno.EFBIG: "raise the limit (`ulimit -f`), then run the same command again: it resumes",
-}
-_OTHER_HINT = "choose another folder, or mend this one, then run the same command again"
 
 
 def rema_home() -> Path:
@@ -46,7 +41,7 @@ def rema_home() -> Path:
 
 @contextmanager
 def storage_errors(path: Path) -> Iterator[None]:
-    """Turn what the operating system says about a full or closed disk into a StorageError about ``path``.
+    """Turn the errors of a full or read-only disk into a StorageError about ``path``.
 
     Raises
     ------
@@ -62,7 +57,7 @@ def storage_errors(path: Path) -> Iterator[None]:
             raise
         raise StorageError(
             f"cannot write {path}: {_STORAGE[error.errno]}",
-            hint=_HINTS.get(error.errno, _OTHER_HINT),
+            hint=repair.storage(error.errno),
             path=str(path),
             errno=error.errno,
         ) from error

@@ -25,7 +25,6 @@ from rema_data.progress import Progress, Silent
 from rema_data.release.folder import ReleaseFolder, find_release
 from rema_data.release.manifest import MANIFEST, parse_manifest
 from rema_data.release.registry import load_published, published
-from rema_data.release.repair import RepairHints
 from rema_data.release.seal import file_sha256, seal
 from rema_data.schema import SCHEMA_VERSION
 from rema_data.store.block import BlockKey, BlockWriter
@@ -138,7 +137,7 @@ def inherit(plan: CollectionPlan, output: Path) -> tuple[ReleaseFolder | None, l
                 f"{beside.file(file)} is not that of {parent.manifest.name}, whose rounds are reused",
                 hint=f"collect beside that release: --output {parent.root}"
                 if parent.root.resolve() != output.resolve()
-                else RepairHints(beside).at(beside.file(file)),
+                else beside.repair.at(beside.file(file)),
                 path=str(beside.file(file)),
             )
     return parent, [block.key for block in blocks]

@@ -19,8 +19,8 @@ from rema_data.grid import ANGLES
 from rema_data.loader.batch import StepBatch
 from rema_data.loader.dataset import StepDataset
 from rema_data.loader.release import Release
-from rema_data.manifests import RESTORE, manifests_dir
-from rema_data.release.repair import RepairHints
+from rema_data.manifests import manifests_dir
+from rema_data.repair import restore
 from rema_data.samplers import BalancedSampler
 from rema_data.verify.leakage import frozen_lists, read_frozen, scene_keys
 
@@ -148,7 +148,7 @@ def refuse_test_scenes(release: Release, tasks: tuple[str, ...]) -> None:
     if not frozen:
         raise MissingFileError(
             f"there are no scenario lists in {manifests_dir()}: nobody can tell whether this data has scenes of them",
-            hint=RESTORE,
+            hint=restore(manifests_dir()),
             path=str(manifests_dir()),
         )
     for block in release.blocks:
@@ -159,7 +159,7 @@ def refuse_test_scenes(release: Release, tasks: tuple[str, ...]) -> None:
                 raise IntegrityError(
                     f"step {row} of {block.key.path} in {release.name} is the scenario {frozen[key]}: nothing that is "
                     "tested may be trained on",
-                    hint=f"do not use this release; look at all of it: {RepairHints(release.folder).verify}",
+                    hint=f"do not use this release; look at all of it: {release.folder.repair.verify}",
                     scenario=frozen[key],
                 )
 

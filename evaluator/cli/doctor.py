@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import click
@@ -11,8 +10,6 @@ import click
 from rema_data.errors import IntegrityError
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from rema_data.doctor import Diagnosis
 
 __all__ = ["doctor"]
@@ -51,50 +48,29 @@ def _print(found: Diagnosis) -> None:
     from rich.console import Console
     from rich.text import Text
 
+    from evaluator.cli.tables import make_table
+
     console = Console()
-    console.print(
-        _table(
-            "versions",
-            ("package", "installed", "wanted", ""),
-            (
-                (item.name, item.version or "-", item.wanted, "" if item.ok else "out of range")
-                for item in found.versions
-            ),
-        )
-    )
+    versions = [
+        (item.name, item.version or "-", item.wanted, "" if item.ok else "out of range") for item in found.versions
+    ]
+    console.print(make_table(("package", "installed", "wanted", ""), versions, title="versions"))
     home = found.home
     writable = "writable" if home.writable else "not writable"
     console.print(Text(f"REMA_HOME is {home.path} ({writable}, {home.free_bytes / 1e9:,.1f} GB free)"), soft_wrap=True)
-    if found.releases:
-        console.print(
-            _table(
-                "releases",
-                ("name", "identity", "blocks", "MB", "folder"),
-                (
-                    (item.name, item.identity, f"{item.blocks}/{item.blocks_total}", _megabytes(item.bytes), item.path)
-                    for item in found.releases
-                ),
-                right=("blocks", "MB"),
-            )
-        )
-    if found.disposable:
-        console.print(
-            _table(
-                "decoded caches and partial downloads",
-                ("release", "state", "MB", "folder"),
-                ((item.release or "-", item.state, _megabytes(item.bytes), item.path) for item in found.disposable),
-                right=("MB",),
-            )
-        )
-    if found.speeds:
-        console.print(
-            _table(
-                f"random reads, {found.tested}",
-                ("batch", "of", "samples/s"),
-                ((item.delivery, str(item.batch_size), f"{item.samples_per_s:,.0f}") for item in found.speeds),
-                right=("of", "samples/s"),
-            )
-        )
+    releases = [
+        (item.name, item.identity, f"{item.blocks}/{item.blocks_total}", _megabytes(item.bytes), item.path)
+        for item in found.releases
+    ]
+    disposable = [(item.release or "-", item.state, _megabytes(item.bytes), item.path) for item in found.disposable]
+    speeds = [(item.delivery, str(item.batch_size), f"{item.samples_per_s:,.0f}") for item in found.speeds]
+    for title, columns, rows in (
+        ("releases", ("name", "identity", "blocks", "MB", "folder"), releases),
+        ("decoded caches and partial downloads", ("release", "state", "MB", "folder"), disposable),
+        (f"random reads, {found.tested}", ("batch", "of", "samples/s"), speeds),
+    ):
+        if rows:
+            console.print(make_table(columns, rows, title=title, right=("blocks", "MB", "of", "samples/s")))
     for text in found.problems:
         console.print(Text(f"problem: {text}", style="red"), soft_wrap=True)
     for text in found.advice:
@@ -105,18 +81,3 @@ def _print(found: Diagnosis) -> None:
 
 def _megabytes(size: int) -> str:
     return f"{size / _MB:,.1f}"
-
-
-def _table(title: str, names: Sequence[str], rows: Iterable[Sequence[str]], right: Sequence[str] = ()) -> Table:
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(
-        title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0)
-    )
-    for name in names:
-        table.add_column(name, justify="right" if name in right else "left", overflow="fold")
-    for row in rows:
-        table.add_row(*(Text(cell) for cell in row))
-    return table

@@ -102,27 +102,19 @@ def _print(report: DownloadReport) -> None:
 
 def _print_plan(report: DownloadReport, console: Console) -> None:
     """The table of a dry run: one row a block."""
-    from rich import box
     from rich.filesize import decimal
-    from rich.table import Table
-    from rich.text import Text
 
-    table = Table(
-        title=f"{report.name} ({report.sha256[:12]})",
-        title_justify="left",
-        title_style="bold",
-        box=box.SIMPLE_HEAD,
-        pad_edge=False,
-        padding=(0, 1),
-        show_footer=True,
-    )
-    table.add_column("block", "total", overflow="fold")
-    table.add_column("files", str(report.files), justify="right", no_wrap=True)
-    table.add_column("size", decimal(report.bytes), justify="right", no_wrap=True)
-    table.add_column("to fetch", decimal(report.bytes - report.present_bytes), justify="right", no_wrap=True)
-    table.add_column("from", overflow="fold")
+    from evaluator.cli.tables import make_table
+
+    rows = []
     for row in report.blocks:
         fetched = decimal(row.missing_bytes) if row.missing_files else "here"
         origin = row.source or ("nowhere" if row.missing_files else "")
-        table.add_row(row.block, str(row.files), decimal(row.bytes), fetched, Text(origin))
+        rows.append((row.block, str(row.files), decimal(row.bytes), fetched, origin))
+    numbers = ("files", "size", "to fetch")
+    title = f"{report.name} ({report.sha256[:12]})"
+    table = make_table(("block", *numbers, "from"), rows, title=title, right=numbers, no_wrap=numbers)
+    table.add_section()
+    missing = decimal(report.bytes - report.present_bytes)
+    table.add_row("total", str(report.files), decimal(report.bytes), missing, "")
     console.print(table)

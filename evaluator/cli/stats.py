@@ -69,17 +69,11 @@ def _print(found: Statistics, comparison: Comparison | None) -> None:
 
 
 def _table(title: str, columns: Sequence[str], numbers: int) -> Table:
-    """A table for 80 characters whose last ``numbers`` columns are right-aligned."""
-    from rich import box
-    from rich.table import Table
+    """A table whose last ``numbers`` columns are numbers."""
+    from evaluator.cli.tables import make_table
 
-    table = Table(
-        title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0)
-    )
-    for position, name in enumerate(columns):
-        right = position >= len(columns) - numbers
-        table.add_column(name, justify="right" if right else "left", no_wrap=name != "policy", overflow="fold")
-    return table
+    no_wrap = [name for name in columns if name != "policy"]
+    return make_table(columns, title=title, right=columns[-numbers:], no_wrap=no_wrap)
 
 
 def _steps_table(rows: Iterable[StepCount], title: str) -> Table:
@@ -117,7 +111,7 @@ def _missing(found: Statistics) -> str:
     names = ", ".join(listed) + (", ..." if len(found.missing) > len(listed) else "")
     return (
         f"not counted: {len(found.missing)} blocks with {episodes:,} episodes that are not on this machine ({names}). "
-        f"{found.mend[:1].upper()}{found.mend[1:]}"
+        f"{found.fix[:1].upper()}{found.fix[1:]}"
     )
 
 

@@ -13,14 +13,14 @@ from rema_data.schema import TASKS
 from rema_data.store.block import SPLITS
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from rich.text import Text
 
-    from rema_data.verify import Report
+    from rema_data.verify import Finding, Report
 
 __all__ = ["verify"]
 
-_MENDS = 10
-"""So many mending commands are printed."""
+_FIXES = 10
+"""So many different fixes are printed."""
 
 
 @click.command()
@@ -68,9 +68,9 @@ def verify(
 
     report = run()
     if repair and report.damaged:
-        from rema_data.verify.repair import repair as mend
+        from rema_data.verify.files import repair as fetch_damaged
 
-        mend(found, report, sources)
+        fetch_damaged(found, report, sources)
         click.echo(f"fetched {len(report.damaged)} files again", err=True)
         report = run()
     if as_json:
@@ -81,9 +81,19 @@ def verify(
         ctx.exit(IntegrityError.exit_code)
 
 
+def _row(finding: Finding, root: str) -> tuple[str | Text, ...]:
+    from rich.text import Text
+
+    file = Path(finding.file)
+    shown = file.relative_to(root) if file.is_relative_to(root) else file
+    return Text(finding.kind, style="red"), str(shown), finding.where, finding.detail
+
+
 def _print(report: Report) -> None:
     from rich.console import Console
     from rich.text import Text
+
+    from evaluator.cli.tables import make_table
 
     console = Console()
     n = {name: f"{count:,}" for name, count in report.checked.items()}
@@ -99,31 +109,18 @@ def _print(report: Report) -> None:
     if report.ok:
         console.print(Text("nothing is wrong", style="green"))
         return
-    console.print(_findings(report))
+    console.print(
+        make_table(("what", "file", "where", "detail"), (_row(finding, report.root) for finding in report.findings))
+    )
     for kind, count in report.counts.items():
         listed = sum(finding.kind == kind for finding in report.findings)
         if count > listed:
             console.print(Text(f"{count - listed} more of the kind {kind}"))
     if report.unread:
         console.print(Text(f"contents not checked, or not all: {', '.join(report.unread)}", style="yellow"))
-    mends = list(dict.fromkeys(finding.mend for finding in report.findings))
-    console.print(Text("to mend it:", style="bold"))
-    for mend in mends[:_MENDS]:
-        console.print(Text(f"  {mend}"), soft_wrap=True)
-    if len(mends) > _MENDS:
-        console.print(Text(f"  ... and {len(mends) - _MENDS} more: rema verify --json lists them"))
-
-
-def _findings(report: Report) -> Table:
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    for name in ("what", "file", "where", "detail"):
-        table.add_column(name, overflow="fold")
-    for finding in report.findings:
-        file = Path(finding.file)
-        shown = file.relative_to(report.root) if file.is_relative_to(report.root) else file
-        table.add_row(Text(finding.kind, style="red"), Text(str(shown)), Text(finding.where), Text(finding.detail))
-    return table
+    fixes = list(dict.fromkeys(finding.fix for finding in report.findings))
+    console.print(Text("to fix it:", style="bold"))
+    for fix in fixes[:_FIXES]:
+        console.print(Text(f"  {fix}"), soft_wrap=True)
+    if len(fixes) > _FIXES:
+        console.print(Text(f"  ... and {len(fixes) - _FIXES} more: rema verify --json lists them"))

@@ -29,8 +29,9 @@ from evaluator.sim.reference import prepare
 from evaluator.sim.simulator import Simulator
 from evaluator.sim.spawn import episode_generator
 from rema_data.errors import InputError, IntegrityError
-from rema_data.manifests import RESTORE, read_manifest
+from rema_data.manifests import read_manifest
 from rema_data.progress import Progress, Silent
+from rema_data.repair import restore
 from rema_data.schema import TASKS, Scenario, check_task
 
 __all__ = ["COUNTS", "ROOT_SEED", "draw_scenario", "generate_list", "picked_list", "write_lists"]
@@ -185,7 +186,7 @@ def _write(
     if named is not None and hashlib.sha256(encode_list(scenarios)).hexdigest() != named["sha256"]:
         raise IntegrityError(
             f"{manifest} names {named['file']}, which is gone, and {task}/{split} drawn again is another list",
-            hint=f"{RESTORE}; or choose another VERSION",
+            hint=f"{restore(file)}; or choose another VERSION",
             path=str(file),
         )
     update_manifest(

@@ -19,7 +19,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from rema_data.errors import InputError, IntegrityError, MissingFileError
-from rema_data.manifests import RESTORE, manifests_dir, read_manifest
+from rema_data.manifests import manifests_dir, read_manifest
+from rema_data.repair import restore
 from rema_data.schema import (
     TASKS,
     Grip,
@@ -248,7 +249,7 @@ def load_list(task: str, split: str = "test", version: str | None = None) -> Sce
     if not path.is_file():
         raise MissingFileError(
             f"there are no scenario lists of version {version}: {path} does not exist",
-            hint="use a version that is there, or restore it: git checkout -- manifests",
+            hint=f"use a version that is there, or restore it: {restore(path.parent)}",
             path=str(path),
         )
     lists, version = read_manifest(
@@ -268,13 +269,13 @@ def load_list(task: str, split: str = "test", version: str | None = None) -> Sce
 
 def _read(path: Path, sha256: str, task: str, split: str) -> tuple[Scenario, ...]:
     if not path.is_file():
-        raise MissingFileError(f"scenario list {path} does not exist", hint=RESTORE, path=str(path))
+        raise MissingFileError(f"scenario list {path} does not exist", hint=restore(path), path=str(path))
     payload = path.read_bytes()
     got = hashlib.sha256(payload).hexdigest()
     if got != sha256:
         raise IntegrityError(
             f"scenario list {path} has sha256 {got}, its manifest says {sha256}",
-            hint=RESTORE,
+            hint=restore(path),
             path=str(path),
             expected=sha256,
             got=got,

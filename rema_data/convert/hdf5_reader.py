@@ -22,6 +22,7 @@ from rema_data.convert.pieces import PIECE_STEPS, Piece
 from rema_data.errors import InputError, MissingFileError
 from rema_data.grid import EE_PIXELS, SCENE_PIXELS
 from rema_data.release.manifest import Manifest, parse_manifest
+from rema_data.repair import upgrade
 from rema_data.store.block import BlockKey, EncodedMaps
 from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, arrow_schema, check_version, columns_at
 from rema_data.store.tables import complete, episodes_table
@@ -136,7 +137,7 @@ class _File:
         if header.get("format_version") != VERSION:
             raise InputError(
                 f"{self.path} has format version {header.get('format_version')}, this rema reads {VERSION}",
-                hint="install the version of rema that wrote it: pip install --upgrade rema",
+                hint=upgrade(),
                 path=str(self.path),
             )
         check_version(header.get("schema_version"), str(self.path))

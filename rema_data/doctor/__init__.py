@@ -1,7 +1,7 @@
-"""``rema doctor``: what of this machine stands between a user and training.
+"""``rema doctor``: diagnose this machine (versions, home folder, releases, caches, reading speed).
 
-``versions`` (packages), ``places`` (the home folder, releases), ``disposable`` (decoded caches, partial downloads),
-``speed`` (a short reading test), and ``diagnosis``, which puts them together and says what to do.
+``machine`` (versions, home folder, speed), ``releases``, ``disposable`` (decoded caches, partial downloads), and
+``diagnosis``, which collects them with problems and advice.
 """
 
 from __future__ import annotations

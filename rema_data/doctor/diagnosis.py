@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from rema_data.doctor.disposable import PARTIAL, READY, Disposable, disposables
-from rema_data.doctor.places import Home, ReleaseState, home, local_releases
-from rema_data.doctor.speed import Speed, measure
-from rema_data.doctor.versions import PackageVersion, package_versions
+from rema_data.doctor.machine import Home, PackageVersion, Speed, home, measure_speed, package_versions
+from rema_data.doctor.releases import ReleaseState, local_releases
 from rema_data.errors import RemaError
 from rema_data.loader.decode import map_rows, row_bytes
 from rema_data.loader.record import has_digests
 from rema_data.loader.release import Release
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.registry import SAMPLE, load_published, published
+from rema_data.repair import install, reinstall
 
 __all__ = ["NEEDED_PER_S", "Diagnosis", "diagnose"]
 
@@ -40,7 +40,7 @@ class Diagnosis:
         Release that was read; empty where there is none, or no test was wanted.
     speeds : sequence of Speed
     problems : sequence of str
-        What is wrong, each with what mends it.
+        What is wrong, each with its fix.
     advice : sequence of str
         What would be better.
     """
@@ -56,21 +56,10 @@ class Diagnosis:
 
     def to_dict(self) -> dict[str, Any]:
         """Ready for JSON."""
-        releases = [
-            {name: getattr(state, name) for name in ("name", "path", "identity", "blocks", "blocks_total", "bytes")}
-            for state in self.releases
-        ]
-        return {
-            "ok": not self.problems,
-            "versions": [asdict(version) for version in self.versions],
-            "home": asdict(self.home),
-            "releases": releases,
-            "disposable": [asdict(item) for item in self.disposable],
-            "tested": self.tested,
-            "speeds": [asdict(speed) for speed in self.speeds],
-            "problems": list(self.problems),
-            "advice": list(self.advice),
-        }
+        content = asdict(replace(self, releases=[replace(state, folder=None) for state in self.releases]))
+        for release in content["releases"]:
+            del release["folder"]
+        return {"ok": not self.problems} | content
 
 
 def diagnose(
@@ -99,7 +88,7 @@ def diagnose(
     if chosen is not None and read_seconds > 0 and not wrong:
         note(f"reading {chosen.manifest.name} (decoded first, where it has not been)")
         try:
-            speeds = list(measure(Release(chosen), read_seconds))
+            speeds = list(measure_speed(Release(chosen), read_seconds))
         except RemaError as error:
             problems.append(f"{chosen.manifest.name} cannot be read: {error}")
         found = disposables(releases)  # with the cache that may have been built
@@ -129,9 +118,9 @@ def _newest(releases: Sequence[ReleaseState]) -> ReleaseFolder | None:
 def _problems(versions: Sequence[PackageVersion], state: Home, releases: Sequence[ReleaseState]) -> Iterator[str]:
     for item in versions:
         if item.version is None:
-            yield f"{item.name} is not installed: pip install rema"
+            yield f"{item.name} is not installed: {_package_fix(item)}"
         elif not item.ok:
-            yield f"{item.name} {item.version} is outside of {item.wanted}: pip install --upgrade rema"
+            yield f"{item.name} {item.version} is outside of {item.wanted}: {_package_fix(item)}"
     if not state.writable:
         yield f"{state.path} cannot be written: set REMA_HOME to another folder"
     for release in releases:
@@ -139,12 +128,18 @@ def _problems(versions: Sequence[PackageVersion], state: Home, releases: Sequenc
             yield f"{release.path}: {release.identity}; find out more: rema verify {release.path}"
 
 
+def _package_fix(item: PackageVersion) -> str:
+    if item.name == "python":
+        return f"install rema into a Python {item.wanted}"
+    return reinstall() if item.name == "rema" else install(f"{item.name}{item.wanted}")
+
+
 def _damaged_caches(found: Sequence[Disposable]) -> Iterator[str]:
     for item in found:
         if item.damaged:
             yield (
                 f"the decoded cache {item.path} is damaged ({', '.join(item.damaged)}): "
-                "rema doctor --check-caches --prune deletes it, and opening the release builds it anew"
+                "rema doctor --check-caches --prune deletes it, and opening the release builds it again"
             )
 
 
@@ -152,8 +147,8 @@ def _unknown_caches(found: Sequence[Disposable]) -> Iterator[str]:
     for item in found:
         if item.state == READY and not has_digests(Path(item.path)):
             yield (
-                f"the content of the decoded cache {item.path} cannot be checked: an earlier rema made it; one built "
-                f"anew can: rm -r '{item.path}'"
+                f"the content of the decoded cache {item.path} cannot be checked: an earlier rema made it; it is built "
+                f"again, with checksums, after: rm -r '{item.path}'"
             )
 
 

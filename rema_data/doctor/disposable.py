@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from rema_data.doctor.places import ReleaseState
+from rema_data.doctor.releases import ReleaseState
 from rema_data.download.part import SUFFIX
 from rema_data.loader.cache import cache_name, caches_folder
 from rema_data.loader.record import damaged_files, is_whole
@@ -47,7 +47,7 @@ class Disposable:
 
 
 def disposables(releases: Iterable[ReleaseState], contents: bool = False) -> tuple[Disposable, ...]:
-    """Decoded caches and partial downloads below ``REMA_HOME``, judged by the releases that are here.
+    """Decoded caches and partial downloads below ``REMA_HOME``, each with its state.
 
     Parameters
     ----------

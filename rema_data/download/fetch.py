@@ -55,8 +55,8 @@ def download(
         Part of it; everything by default.
     sources : sequence of str or path
         Folders of releases, or their URLs, that are asked first, in order: a folder, ``file://``, ``http(s)://``,
-        ``s3://`` or whatever fsspec opens. After them come the folders that belong to this checkout or package, then
-        the mirrors that the manifest names.
+        ``s3://`` or any other protocol of fsspec. After them come the folders that belong to this checkout or package,
+        then the mirrors that the manifest names.
     jobs : int, optional
         Files that are fetched at a time; 8 by default.
     offline : bool
@@ -127,7 +127,7 @@ def download(
 def fetch_again(
     folder: ReleaseFolder, locations: Iterable[str], sources: Sequence[str | os.PathLike[str]], again: str
 ) -> None:
-    """Fetch files of a release again, whatever is in their place: it is replaced when the right bytes are here.
+    """Fetch files of a release again. What is in their place is replaced when the right bytes are here.
 
     Parameters
     ----------
@@ -274,7 +274,7 @@ def _undelivered(
     only_local: bool,
     again: str,
 ) -> MissingFileError | IntegrityError:
-    """The error about files that no source has delivered; ``again`` is the command that asks once more."""
+    """The error about files that no source has delivered; ``again`` is the command that asks again."""
     by_answers: dict[tuple[tuple[str, str], ...], list[str]] = {}
     for error in sorted(failed, key=lambda error: error.entry.location):
         by_answers.setdefault(tuple(error.answers.items()), []).append(error.entry.location)

@@ -8,8 +8,6 @@ import os
 import queue
 import threading
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from rema_data.storage import storage_errors, sync_folder
 
@@ -29,7 +27,7 @@ _AHEAD = 4
 
 
 class PartFile:
-    """A file that is being fetched, as a context manager. What is there from an earlier run is kept and hashed.
+    """A file that is being fetched, open until ``close``. What is there from an earlier run is kept and hashed.
 
     Parameters
     ----------
@@ -48,29 +46,21 @@ class PartFile:
         self.target = target
         self.path = target.with_name(target.name + SUFFIX)
         self.size = size
-        self.position = 0
-        self._begun = 0
-
-    def __enter__(self) -> Self:
         with storage_errors(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file = self.path.open("a+b", buffering=0)  # unbuffered: what was written survives a kill
             try:
-                self.position = self._file.tell()
-                if self.position > self.size:
+                if self._file.tell() > size:
                     self._file.truncate(0)
-                    self.position = 0
+                self.position = self._begun = self._file.seek(0, os.SEEK_END)
                 self._file.seek(0)
-                self._digest = _Digest(self._file, self.size - self.position > _LARGE)
+                self._digest = _Digest(self._file, size - self.position > _LARGE)
             except BaseException:
                 self._file.close()
                 raise
-        self._begun = self.position
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Close the file; what has arrived stays."""
         self._digest.close()
         self._file.close()
 

@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from rich.filesize import decimal
+
 from rema_data.download.part import SUFFIX
 from rema_data.download.sources import Source
 from rema_data.errors import StorageError
@@ -20,7 +22,6 @@ __all__ = ["BlockPlan", "DownloadReport", "Plan", "check_space", "make_plan"]
 
 WHOLE = "(release)"
 """Stands for the files that belong to no block: datasheet and the like."""
-_UNITS = ("B", "kB", "MB", "GB", "TB")
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +181,7 @@ def check_space(root: Path, plan: Plan) -> None:
     free = shutil.disk_usage(place).free
     if needed > free:
         raise StorageError(
-            f"{_size_words(needed)} have to be fetched to {root}, and {_size_words(free)} are free there",
+            f"the download needs {decimal(needed)} at {root}, and {decimal(free)} are free there",
             hint="free some space, set REMA_HOME to a folder on another disk, or take less: --task, --round, --split",
             needed=needed,
             free=free,
@@ -198,11 +199,3 @@ def _size(path: Path) -> int:
         return os.stat(path).st_size
     except OSError:
         return -1
-
-
-def _size_words(size: float) -> str:
-    """Such as 1.2 GB."""
-    unit = 0
-    while size >= 1000 and unit < len(_UNITS) - 1:
-        size, unit = size / 1000, unit + 1
-    return f"{size:,.1f} {_UNITS[unit]}" if unit else f"{size:,.0f} {_UNITS[unit]}"

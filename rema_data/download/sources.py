@@ -21,6 +21,7 @@ from urllib3.exceptions import TimeoutError as WebTimeoutError
 from rema_data.download.failures import Faltered, Refused, answered
 from rema_data.download.web import WebFolder
 from rema_data.errors import InputError
+from rema_data.repair import install
 
 __all__ = ["Source"]
 
@@ -74,13 +75,13 @@ class Source:
             else:
                 self._web.check()
         except ImportError as error:
-            package = str(error)
+            hint = str(error)
             if self.url.startswith(("s3://", "s3a://")):
-                package = 'pip install "rema[s3]"'
+                hint = install("rema[s3]")
             elif self.url.rpartition("::")[2].startswith(("http://", "https://")):
-                package = 'pip install "fsspec[http]"'
+                hint = install("fsspec[http]")
             raise InputError(
-                f"the source {self.label} needs a package that is not installed", hint=package, source=self.label
+                f"the source {self.label} needs a package that is not installed", hint=hint, source=self.label
             ) from error
         except ValueError as error:
             raise InputError(

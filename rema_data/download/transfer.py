@@ -1,4 +1,4 @@
-"""One file, from whatever sources it takes, until it is whole and its sha256 is right.
+"""One file, from one source after the other, until it is whole and its sha256 is right.
 
 The sources are asked in order, and the next one at once where one fails. Only when all have failed does a thread wait,
 and asks again those that may recover. A connection that drops goes on at the byte where it stopped.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 
 from rema_data.download.failures import Faltered, Refused, Stopped, Undelivered
@@ -123,7 +124,7 @@ class Transfer:
         StorageError
             The disk is full or may not be written.
         """
-        with PartFile(self.target, self.entry.bytes) as part:
+        with closing(PartFile(self.target, self.entry.bytes)) as part:
             if part.position:
                 self._origins.add(None)
                 self._advance(part.position)

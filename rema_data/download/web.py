@@ -64,22 +64,7 @@ class WebFolder:
 
     @contextmanager
     def open(self, location: str, start: int, size: int) -> Iterator[tuple[int, Callable[[int], bytes]]]:
-        """A file from byte ``start`` on, or from its first byte where the server ignores ranges.
-
-        Yields
-        ------
-        int
-            Offset of the first byte.
-        callable
-            Takes the largest number of bytes to read. The next bytes, as many as have arrived; empty at the end.
-
-        Raises
-        ------
-        Refused, Faltered
-            By the answer of the server.
-        urllib3.exceptions.HTTPError, ValueError
-            By the connection.
-        """
+        """As ``Source.open``; errors of the connection are those of urllib3."""
         self.check()
         response = self._ask(location, start)
         try:

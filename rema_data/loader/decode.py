@@ -16,7 +16,6 @@ from rema_data.grid import EE_PIXELS, SCENE_PIXELS
 from rema_data.heights import decode_heights
 from rema_data.loader.index import Categories, Index, encode_steps
 from rema_data.progress import Progress, Silent
-from rema_data.release.repair import RepairHints
 
 if TYPE_CHECKING:
     from rema_data.release.folder import ReleaseFolder
@@ -129,13 +128,11 @@ def _check(release: ReleaseFolder, entry: FileEntry) -> None:
         with path.open("rb") as file:
             got = hashlib.file_digest(file, "sha256").hexdigest()
     except FileNotFoundError:
-        raise MissingFileError(
-            f"file {path} does not exist", hint=RepairHints(release).at(path), path=str(path)
-        ) from None
+        raise MissingFileError(f"file {path} does not exist", hint=release.repair.at(path), path=str(path)) from None
     if got != entry.sha256:
         raise IntegrityError(
             f"file {path} is not the one that was sealed: its sha256 is {got}, the manifest says {entry.sha256}",
-            hint=RepairHints(release).at(path),
+            hint=release.repair.at(path),
             path=str(path),
             expected=entry.sha256,
             got=got,
@@ -175,6 +172,6 @@ def _contradiction(release: ReleaseFolder, block: BlockEntry, what: str) -> Inte
     folder = release.block(block).folder
     return IntegrityError(
         f"block {folder} contradicts itself: {what}",
-        hint=f"find all damage: {RepairHints(release).verify}",
+        hint=f"find all damage: {release.repair.verify}",
         path=str(folder),
     )

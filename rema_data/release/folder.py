@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rema_data.errors import InputError, IntegrityError, MissingFileError
+from rema_data.errors import InputError, IntegrityError, MissingFileError, RemaError
 from rema_data.release.manifest import MANIFEST, BlockEntry, FileEntry, Manifest, parse_manifest
 from rema_data.release.registry import SAMPLE, load_published, published
+from rema_data.repair import ReleaseRepair, release_manifest
 from rema_data.storage import rema_home
 
 if TYPE_CHECKING:
@@ -70,26 +72,51 @@ class ReleaseFolder:
             With the command that fetches it.
         """
         here = {block.key for block in self.blocks()}
-        missing = [block.key for block in wanted if block.key not in here]
+        missing = [block for block in wanted if block.key not in here]
         if missing:
-            from rema_data.release.repair import RepairHints
-
             raise MissingFileError(
                 f"{len(missing)} blocks of {self.manifest.name} are not on this machine, the first one "
-                f"{missing[0].path}",
-                hint=RepairHints(self).blocks(missing),
-                missing=missing,
+                f"{missing[0].key.path}",
+                hint=self.repair.blocks(missing),
+                missing=[block.key for block in missing],
             )
 
-    def _repair_hint(self, path: Path) -> str:
-        from rema_data.release.repair import RepairHints
+    @property
+    def downloaded(self) -> bool:
+        """Whether the release lies where ``rema download`` puts it."""
+        return _is_downloads(self.root)
 
-        return RepairHints(self).at(path)
+    def _repair_hint(self, path: Path) -> str:
+        return self.repair.at(path)
+
+    @property
+    def repair(self) -> ReleaseRepair:
+        """The commands that bring its files back."""
+        manifest, root = self.manifest, self.root.resolve()
+        is_published = any(entry.sha256 == manifest.sha256 for entry in published())
+        try:
+            by_name = is_published and find_release(manifest.name).root.resolve() == root
+        except RemaError:
+            by_name = False
+        others = [folder for folder in local_sources() if folder.resolve() != root]
+        has_source = manifest.sources or any((folder / manifest.name).is_dir() for folder in others)
+        return ReleaseRepair(
+            manifest.name,
+            self.root,
+            manifest.name if by_name else shlex.quote(str(root / manifest.name)),
+            is_published,
+            self.downloaded,
+            "" if has_source else " --source URL",
+        )
 
 
 def downloads_folder() -> Path:
     """Where downloaded releases lie: ``REMA_HOME/releases``."""
     return rema_home() / "releases"
+
+
+def _is_downloads(root: Path) -> bool:
+    return root.resolve() == downloads_folder().resolve()
 
 
 def local_sources() -> tuple[Path, ...]:
@@ -153,9 +180,9 @@ def _parse_beside_data(path: Path) -> Manifest:
     try:
         return parse_manifest(path.read_bytes(), str(path))
     except IntegrityError as error:
-        from rema_data.release.repair import manifest_repair
-
-        error.hint = manifest_repair(path)
+        root, name = path.resolve().parents[1], path.resolve().parent.name
+        known = name in {entry.name for entry in published()}
+        error.hint = release_manifest(path, published=known, downloaded=_is_downloads(root))
         raise
 
 

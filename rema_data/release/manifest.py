@@ -27,6 +27,7 @@ from rema_data.release.entries import (
     check_holder,
     check_name,
 )
+from rema_data.repair import copy_again
 from rema_data.schema import HEIGHT_STEP_M, SCHEMA_VERSION, TASKS
 from rema_data.store.columns import check_version
 from rema_data.store.keys import BlockKey
@@ -196,7 +197,7 @@ def parse_manifest(data: bytes, where: str, sha256: str | None = None, hint: str
     InputError
         The schema version is not one that this version of rema can read.
     """
-    hint = hint or f"copy {where} again from where it came from"
+    hint = hint or copy_again(where)
     got = hashlib.sha256(data).hexdigest()
     if sha256 is not None and got != sha256:
         raise IntegrityError(

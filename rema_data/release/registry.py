@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from rema_data.errors import InputError, MissingFileError
-from rema_data.manifests import RESTORE, manifests_dir, read_manifest
+from rema_data.manifests import manifests_dir, read_manifest
 from rema_data.release.manifest import Manifest, check_name, parse_manifest
+from rema_data.repair import restore
 from rema_data.storage import write_atomic
 
 __all__ = ["SAMPLE", "Published", "load_published", "newest", "published", "register"]
@@ -68,8 +69,8 @@ def load_published(name: str) -> Manifest:
         raise InputError(f"there is no release {name!r}", hint=f"choose one of: {', '.join(entries)}", name=name)
     path = _folder() / f"{name}.json"
     if not path.is_file():
-        raise MissingFileError(f"the manifest {path} does not exist", hint=RESTORE, path=str(path))
-    return parse_manifest(path.read_bytes(), str(path), entries[name].sha256, RESTORE)
+        raise MissingFileError(f"the manifest {path} does not exist", hint=restore(path), path=str(path))
+    return parse_manifest(path.read_bytes(), str(path), entries[name].sha256, restore(path))
 
 
 def register(manifest: Manifest) -> Path:

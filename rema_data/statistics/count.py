@@ -14,7 +14,6 @@ import numpy as np
 
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import BlockEntry
-from rema_data.release.repair import RepairHints
 from rema_data.schema import TASKS, skill
 from rema_data.store.block import BlockReader
 
@@ -95,7 +94,7 @@ class Statistics:
         Of the blocks that are on this machine, in the order of the manifest.
     missing : tuple of BlockEntry
         Blocks that are not: the manifest knows their episodes, but not how many reached which step.
-    mend : str
+    fix : str
         What brings the missing blocks; empty where there are none.
     """
 
@@ -103,7 +102,7 @@ class Statistics:
     sha256: str
     steps: tuple[StepCount, ...]
     missing: tuple[BlockEntry, ...]
-    mend: str = ""
+    fix: str = ""
 
     def totals(self) -> tuple[TaskTotal, ...]:
         """Sums by task, in the order of ``TASKS``."""
@@ -154,7 +153,7 @@ def count(release: ReleaseFolder) -> Statistics:
         release.manifest.sha256,
         tuple(row for block in here for row in _count_block(block, release.block(block))),
         missing,
-        RepairHints(release).blocks(block.key for block in missing) if missing else "",
+        release.repair.blocks(missing) if missing else "",
     )
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rema_data.errors import InputError
+from rema_data.repair import install
 from rema_data.schema import TASKS
 from rema_data.statistics.count import Statistics
 from rema_data.statistics.paper import Counts, published_counts
@@ -64,12 +65,10 @@ def plot_rounds(statistics: Statistics, path: Path) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise InputError(
-            f"figures need {error.name}, which is not installed", hint='pip install "rema[report]"'
-        ) from error
+        raise InputError(f"figures need {error.name}, which is not installed", hint=install("rema[report]")) from error
     sums, paper = accumulated(statistics), published_counts()
     if not sums:
-        raise InputError(f"no block of {statistics.release} is on this machine", hint=statistics.mend)
+        raise InputError(f"no block of {statistics.release} is on this machine", hint=statistics.fix)
     figure = Figure(figsize=(2.6 * len(sums) + 0.6, 3.4), dpi=150, facecolor="white", layout="constrained")
     panels = figure.subplots(1, len(sums), squeeze=False)[0]
     for axes, (task, counts) in zip(panels, sums.items(), strict=True):

@@ -23,10 +23,10 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from rema_data.heights import encode_heights, pack_mask
+from rema_data.repair import RepairHint, ask_verify
 from rema_data.schema import Episode, Observation
 from rema_data.storage import write_atomic
 from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS
-from rema_data.store.hints import RepairHint, ask_verify
 from rema_data.store.keys import SPLITS, BlockKey
 from rema_data.store.maps import MapsReader, MapsWriter
 from rema_data.store.tables import (

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rema_data.errors import InputError
+from rema_data.repair import upgrade
 from rema_data.schema import SCHEMA_VERSION, Evidence
 
 if TYPE_CHECKING:
@@ -178,6 +179,6 @@ def check_version(version: Any, where: str) -> int:
         return version
     raise InputError(
         f"{where} has schema version {version!r}, this rema reads {SCHEMA_VERSION} and earlier",
-        hint="install a rema that reads it: pip install --upgrade rema",
+        hint=upgrade(),
         schema_version=version,
     )

@@ -29,9 +29,9 @@ from zarr.storage import LocalStore
 from rema_data.errors import IntegrityError, MissingFileError
 from rema_data.grid import EE_PIXELS, SCENE_PIXELS
 from rema_data.heights import HEIGHT_ERROR_M, HEIGHT_OFFSET_M, MISSING
+from rema_data.repair import RepairHint, ask_verify
 from rema_data.schema import HEIGHT_STEP_M
 from rema_data.storage import storage_errors
-from rema_data.store.hints import RepairHint, ask_verify
 
 __all__ = ["ARRAYS", "MAPS", "ArrayFormat", "MapsReader", "MapsWriter"]
 

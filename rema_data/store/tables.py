@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from rema_data.errors import IntegrityError, MissingFileError
+from rema_data.repair import RepairHint, ask_verify, upgrade
 from rema_data.schema import (
     EVIDENCE,
     SCHEMA_VERSION,
@@ -29,7 +30,6 @@ from rema_data.schema import (
     skill,
 )
 from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, Column, arrow_schema, columns_at
-from rema_data.store.hints import RepairHint, ask_verify
 
 __all__ = [
     "as_stored",
@@ -224,6 +224,6 @@ def read_table(path: Path, columns: tuple[Column, ...], repair_hint: RepairHint 
     what = f"other columns ({', '.join(sorted(names))})" if names else "columns of other types"
     raise IntegrityError(
         f"table {path} has {what} than schema version {SCHEMA_VERSION}",
-        hint="install the version of rema that the release belongs to: pip install --upgrade rema",
+        hint=upgrade(),
         path=str(path),
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 
 import pyarrow as pa
 
@@ -13,7 +13,6 @@ from rema_data.manifests import manifests_dir
 from rema_data.progress import Progress, Silent
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import BlockEntry
-from rema_data.release.registry import published
 from rema_data.store.block import EPISODES, STEPS, BlockReader
 from rema_data.store.maps import ARRAYS, MAPS
 from rema_data.verify.files import absent_blocks, check_files, check_manifest, check_unexpected
@@ -66,6 +65,11 @@ class _Verification:
     findings: Findings = field(default_factory=Findings)
     scenes: Scenes = field(default_factory=Scenes)
     unread: list[str] = field(default_factory=list)
+
+    @cached_property
+    def fix(self) -> str:
+        """Of contents whose bytes are the sealed ones."""
+        return self.release.repair.contents
 
     def run(self) -> Report:
         entries = self.release.manifest.files_of(self.blocks)
@@ -128,14 +132,7 @@ class _Verification:
 
     def add(self, reader: BlockReader, kind: str, file: str, where: str, detail: str) -> None:
         """Report something in the contents of a block whose bytes are the sealed ones."""
-        self.findings.add(kind, str(reader.folder / file), detail, where=where, mend=self.reseal())
-
-    def reseal(self) -> str:
-        """What mends contents that were wrong when they were sealed."""
-        name = self.release.manifest.name
-        if any(entry.sha256 == self.release.manifest.sha256 for entry in published()):
-            return f"the bytes are the published ones: report it, and leave {name} for a later release: rema download"
-        return "the bytes are the sealed ones: collect the release again under a new name: rema collect PLAN"
+        self.findings.add(kind, str(reader.folder / file), detail, where=where, fix=self.fix)
 
     def check_scenes(self) -> int:
         """Compare the scenes of all blocks with each other and with the frozen lists; the number of frozen scenes."""
@@ -146,10 +143,10 @@ class _Verification:
             try:
                 frozen.update(read_frozen(path))
             except IntegrityError as error:
-                self.findings.add("table", str(path), error.message, mend="git checkout -- manifests/scenarios")
+                self.findings.add("table", str(path), error.message, fix=error.hint)
             self.progress.advance(1)
         self.scenes.check(
             frozen,
-            lambda file, where, detail: self.findings.add("leakage", file, detail, where=where, mend=self.reseal()),
+            lambda file, where, detail: self.findings.add("leakage", file, detail, where=where, fix=self.fix),
         )
         return len(frozen)

@@ -1,21 +1,25 @@
-"""The bytes of a release: its manifest, and every file that it names."""
+"""The bytes of a release: its manifest and every file that it names, checked and fetched again."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
+from rema_data.download.fetch import fetch_again
 from rema_data.download.part import SUFFIX
+from rema_data.errors import InputError
 from rema_data.progress import Progress
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, BlockEntry, FileEntry
 from rema_data.release.registry import published
-from rema_data.release.repair import RepairHints, is_download
 from rema_data.release.seal import file_sha256
+from rema_data.repair import delete
 from rema_data.schema import TASKS
-from rema_data.verify.findings import Findings
+from rema_data.storage import write_atomic
+from rema_data.verify.findings import Findings, Report
 
-__all__ = ["absent_blocks", "check_files", "check_manifest", "check_unexpected"]
+__all__ = ["absent_blocks", "check_files", "check_manifest", "check_unexpected", "repair"]
 
 
 def check_manifest(release: ReleaseFolder, findings: Findings) -> set[str]:
@@ -34,7 +38,7 @@ def check_manifest(release: ReleaseFolder, findings: Findings) -> set[str]:
             "manifest",
             str(copy),
             f"it is not the published {manifest.name}: its sha256 is {manifest.sha256}, the index has {known}",
-            mend=f"rename this release, or use the published one: rema download {manifest.name}",
+            fix=f"rename this release, or use the published one: rema download {manifest.name}",
         )
     for block in manifest.blocks:
         if len(block.policies) != len(TASKS[block.task]):
@@ -42,14 +46,12 @@ def check_manifest(release: ReleaseFolder, findings: Findings) -> set[str]:
                 "manifest",
                 str(copy),
                 f"block {block.key.path} has {len(block.policies)} policies for {len(TASKS[block.task])} steps",
-                mend="seal the release again from its plan: rema collect PLAN",
+                fix="seal the release again from its plan: rema collect PLAN",
             )
     if not copy.is_file():
-        findings.add("missing", str(copy), "the manifest beside the data", mend=RepairHints(release).file(location))
+        findings.add("missing", str(copy), "the manifest beside the data", fix=release.repair.file(location))
     elif copy.read_bytes() != manifest.to_bytes():
-        findings.add(
-            "manifest", str(copy), "it is not the release's manifest", mend=RepairHints(release).file(location)
-        )
+        findings.add("manifest", str(copy), "it is not the release's manifest", fix=release.repair.file(location))
     else:
         return set()
     return {location}
@@ -57,7 +59,7 @@ def check_manifest(release: ReleaseFolder, findings: Findings) -> set[str]:
 
 def absent_blocks(release: ReleaseFolder, blocks: Sequence[BlockEntry]) -> tuple[BlockEntry, ...]:
     """Blocks of a downloaded release of which no file is here: they have never been fetched."""
-    if not is_download(release):
+    if not release.downloaded:
         return ()
     here = {file.block for file in release.manifest.files if release.file(file).exists()}
     return tuple(block for block in blocks if block.key.path not in here)
@@ -73,14 +75,14 @@ def check_files(
     set of str
         Locations of the files that are not what the manifest names.
     """
-    damaged, mending = set(), RepairHints(release)
+    damaged, fixes = set(), release.repair
     progress.phase("files", len(entries))
     for entry in entries:
         path = release.file(entry)
         fault = _fault(path, entry)
         if fault is not None:
             damaged.add(entry.location)
-            findings.add(*fault, mend=mending.file(entry.location))
+            findings.add(*fault, fix=fixes.file(entry.location))
         progress.advance(1)
     return damaged
 
@@ -105,5 +107,37 @@ def check_unexpected(release: ReleaseFolder, findings: Findings) -> None:
     for path in sorted(release.path.rglob("*")):
         if path.is_dir() or path in listed or path == release.path / MANIFEST:
             continue
-        if not (is_download(release) and path.suffix == SUFFIX):
-            findings.add("unexpected", str(path), "the manifest does not name it", mend=f"delete it: rm '{path}'")
+        if not (release.downloaded and path.suffix == SUFFIX):
+            findings.add("unexpected", str(path), "the manifest does not name it", fix=delete(path))
+
+
+def repair(release: ReleaseFolder, report: Report, sources: Sequence[str | os.PathLike[str]] = ()) -> None:
+    """Fetch the damaged files of a downloaded release again. Each one stays until its replacement is here.
+
+    Parameters
+    ----------
+    release : ReleaseFolder
+    report : Report
+        Of its verification.
+    sources : sequence of str or path
+        Folders of releases that are asked first, as in ``rema_data.download.download``.
+
+    Raises
+    ------
+    InputError
+        The release has not been downloaded: its files are somebody's originals.
+    RemaError
+        See ``rema_data.download.fetch.fetch_again``.
+    """
+    if not release.downloaded:
+        raise InputError(
+            f"{release.path} was not downloaded, so nothing in it is changed",
+            hint=release.repair.file(report.damaged[0] if report.damaged else report.release),
+            path=str(release.path),
+        )
+    manifest = f"{release.manifest.name}/{MANIFEST}"
+    if manifest in report.damaged:
+        write_atomic(release.path / MANIFEST, release.manifest.to_bytes())
+    files = [location for location in report.damaged if location != manifest]
+    if files:
+        fetch_again(release, files, sources, f"{release.repair.verify} --repair")

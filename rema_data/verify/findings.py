@@ -7,10 +7,15 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-__all__ = ["LISTED_OF_A_KIND", "Finding", "Findings", "Report"]
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["LISTED_OF_A_KIND", "Finding", "Findings", "Report", "rows_of"]
 
 LISTED_OF_A_KIND = 20
 """So many findings of one kind are listed; further ones are counted."""
+_NAMED = 5
+"""So many rows are named in a finding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,15 +32,15 @@ class Finding:
     where : str
         Place in it: rows, or empty for the whole file.
     detail : str
-    mend : str
-        The command or the edit that mends it.
+    fix : str
+        The command or the edit that fixes it.
     """
 
     kind: str
     file: str
     where: str
     detail: str
-    mend: str
+    fix: str
 
 
 @dataclass
@@ -45,11 +50,11 @@ class Findings:
     listed: list[Finding] = field(default_factory=list)
     counts: Counter[str] = field(default_factory=Counter)
 
-    def add(self, kind: str, file: str, detail: str, *, mend: str, where: str = "") -> None:
+    def add(self, kind: str, file: str, detail: str, *, fix: str, where: str = "") -> None:
         """Report something."""
         self.counts[kind] += 1
         if self.counts[kind] <= LISTED_OF_A_KIND:
-            self.listed.append(Finding(kind, file, where, detail, mend))
+            self.listed.append(Finding(kind, file, where, detail, fix))
 
 
 @dataclass(frozen=True)
@@ -91,3 +96,12 @@ class Report:
     def to_dict(self) -> dict[str, Any]:
         """Ready for JSON."""
         return {"ok": self.ok} | asdict(self)
+
+
+def rows_of(bad: npt.NDArray[Any], start: int = 0) -> str:
+    """Which rows are true in a boolean array whose first one is row ``start``: all of a few, else the first ones."""
+    rows = np.flatnonzero(bad) + start
+    named = ", ".join(str(row) for row in rows[:_NAMED])
+    if len(rows) == 1:
+        return f"row {named}"
+    return f"{len(rows)} rows: {named}" + (", ..." if len(rows) > _NAMED else "")

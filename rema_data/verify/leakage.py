@@ -14,9 +14,9 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from rema_data.errors import IntegrityError
-from rema_data.manifests import RESTORE
+from rema_data.repair import restore
 from rema_data.schema import Shape
-from rema_data.verify.rows import rows_of
+from rema_data.verify.findings import rows_of
 
 __all__ = ["Scenes", "frozen_lists", "read_frozen", "scene_keys"]
 
@@ -101,7 +101,7 @@ def read_frozen(path: Path) -> dict[bytes, str]:
     try:
         return _scenes_of(path, pq.read_table(path))
     except (pa.ArrowException, ValueError, KeyError, OSError) as error:
-        raise IntegrityError(f"{path} cannot be read: {error}", hint=RESTORE, path=str(path)) from error
+        raise IntegrityError(f"{path} cannot be read: {error}", hint=restore(path), path=str(path)) from error
 
 
 def _scenes_of(path: Path, table: pa.Table) -> dict[bytes, str]:

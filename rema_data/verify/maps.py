@@ -14,7 +14,7 @@ import numpy.typing as npt
 from rema_data.errors import IntegrityError
 from rema_data.heights import MISSING
 from rema_data.store.maps import ARRAYS, MAPS, MapsReader
-from rema_data.verify.rows import rows_of
+from rema_data.verify.findings import rows_of
 
 __all__ = ["MapsReport", "check_group", "check_maps"]
 

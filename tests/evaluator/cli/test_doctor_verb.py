@@ -18,7 +18,7 @@ def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A machine with one published release in its home."""
     monkeypatch.setenv("REMA_HOME", str(tmp_path / "home"))
     monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
-    monkeypatch.setattr("rema_data.doctor.places.local_sources", tuple)
+    monkeypatch.setattr("rema_data.doctor.releases.local_sources", tuple)
     monkeypatch.setenv("COLUMNS", "200")
     (tmp_path / "manifests").mkdir()
     register(make_release(tmp_path / "home" / "releases", tasks=("grasp",), episodes=3).manifest)

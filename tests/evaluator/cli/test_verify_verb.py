@@ -44,14 +44,14 @@ def test_nothing_is_wrong(release: ReleaseFolder) -> None:
     assert "files: " in result.stderr
 
 
-def test_findings_are_printed_with_what_mends_them(release: ReleaseFolder) -> None:
+def test_findings_are_printed_with_their_fixes(release: ReleaseFolder) -> None:
     flip(release.root / location(release, GRASP_TRAIN, SHARD), 100)
     (release.path / "notes.txt").touch()
     result = verify(release.path)
     assert result.exit_code == 6
     line = next(line for line in result.stdout.splitlines() if SHARD in line)
     assert line.split()[:2] == ["sha256", location(release, GRASP_TRAIN, SHARD)]
-    assert f"rm '{release.path / 'notes.txt'}'" in result.stdout
+    assert f"rm {release.path / 'notes.txt'}" in result.stdout
     assert "contents not checked, or not all: round-1/grasp/train" in result.stdout
     assert verify(release.path, "--task", "push").exit_code == 6  # the additional file is nobody's
     (release.path / "notes.txt").unlink()
@@ -67,7 +67,7 @@ def test_json_is_alone_on_stdout(release: ReleaseFolder) -> None:
     assert not printed["ok"]
     assert printed["counts"] == {"missing": 1}
     (finding,) = printed["findings"]
-    assert sorted(finding) == ["detail", "file", "kind", "mend", "where"]
+    assert sorted(finding) == ["detail", "file", "fix", "kind", "where"]
     assert finding["file"] == str(release.root / location(release, GRASP_TRAIN, SHARD))
 
 

@@ -18,6 +18,7 @@ from evaluator.scenarios.generation import COUNTS, ROOT_SEED, write_lists
 from evaluator.sim.parameters import WORLD
 from evaluator.sim.spawn import draw_episode, episode_generator
 from rema_data.errors import InputError, IntegrityError, PolicyFailureError
+from rema_data.repair import restore
 from rema_data.schema import TASKS
 
 
@@ -79,7 +80,7 @@ def test_a_list_that_is_gone_comes_back_only_as_it_was(manifests: Path) -> None:
     file.unlink()
     with pytest.raises(IntegrityError, match="grasp_test.parquet, which is gone") as caught:
         draw("a", ("grasp",), {"test": 3, "val": 1}, 1)
-    assert "git checkout" in caught.value.hint and not file.exists() and path.read_bytes() == named
+    assert restore(file) in caught.value.hint and not file.exists() and path.read_bytes() == named
     draw("a", ("grasp",), {"test": 2, "val": 1}, 1)
     assert file.read_bytes() == before and path.read_bytes() == named
     path.write_text("{")

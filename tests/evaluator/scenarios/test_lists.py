@@ -11,6 +11,7 @@ import pytest
 
 from evaluator.scenarios import VERSION, encode_list, load_list, manifest_path, scenario_id, update_manifest
 from rema_data.errors import InputError, IntegrityError, MissingFileError
+from rema_data.repair import restore
 from rema_data.schema import TASKS
 from tests.evaluator.fakes import fake_scenario, write_fake_list
 
@@ -54,9 +55,11 @@ def test_damage_is_noticed(fake_home: Path) -> None:
 
 
 def test_absence_is_said_with_a_remedy(fake_home: Path) -> None:
-    (fake_home / "manifests" / "scenarios" / VERSION / "grasp_test.parquet").unlink()
-    with pytest.raises(MissingFileError, match="git checkout"):
+    path = fake_home / "manifests" / "scenarios" / VERSION / "grasp_test.parquet"
+    path.unlink()
+    with pytest.raises(MissingFileError) as caught:
         load_list("grasp")
+    assert caught.value.hint == restore(path)
     with pytest.raises(InputError, match="grasp_grasp_push/test"):
         load_list("push")
     with pytest.raises(MissingFileError, match="v9"):

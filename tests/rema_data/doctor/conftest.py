@@ -23,7 +23,7 @@ def machine(sealed: ReleaseFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     """Its folder: ``home``, ``manifests``, and the current one, which has nothing."""
     monkeypatch.setenv("REMA_HOME", str(tmp_path / "home"))
     monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
-    monkeypatch.setattr("rema_data.doctor.places.local_sources", lambda: (tmp_path / "releases",))
+    monkeypatch.setattr("rema_data.doctor.releases.local_sources", lambda: (tmp_path / "releases",))
     (tmp_path / "manifests").mkdir()
     register(sealed.manifest)
     shutil.copytree(sealed.path, tmp_path / "home" / "releases" / "tiny")

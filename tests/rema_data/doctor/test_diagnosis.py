@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 from rema_data.doctor import diagnose, diagnosis
-from rema_data.doctor.speed import Speed
-from rema_data.doctor.versions import package_versions
+from rema_data.doctor.machine import Speed, package_versions
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.registry import load_published, register
 from rema_data.testing import make_release
@@ -98,7 +97,7 @@ def test_another_release_under_a_published_name_is_a_problem(machine: Path, tmp_
 
 def test_advice(machine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     slow = [Speed("quantised", 8, 9e4), Speed("float32", 8, 1e3)]
-    monkeypatch.setattr(diagnosis, "measure", lambda release, seconds: slow)
+    monkeypatch.setattr(diagnosis, "measure_speed", lambda release, seconds: slow)
     monkeypatch.setattr(diagnosis, "home", lambda: diagnosis.Home("/full", False, 10))
     (machine / "home" / "releases" / "tiny" / "x.part").touch()
     (machine / "home" / "decoded" / ("0" * 16 + "-" + "0" * 8)).mkdir(parents=True)

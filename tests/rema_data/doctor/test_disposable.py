@@ -9,7 +9,7 @@ import pytest
 from filelock import FileLock
 
 from rema_data.doctor.disposable import Disposable, disposables, prune
-from rema_data.doctor.places import local_releases
+from rema_data.doctor.releases import local_releases
 from rema_data.loader.release import Release
 from rema_data.release.folder import find_release
 

@@ -196,7 +196,7 @@ def test_another_release_of_the_same_name_is_in_the_way(publish: Publish) -> Non
     assert "mv " in caught.value.hint and fetched() == {}
 
 
-def test_what_came_with_another_release_of_the_name_is_fetched_anew(publish: Publish) -> None:
+def test_what_came_with_another_release_of_the_name_is_fetched_again(publish: Publish) -> None:
     """A download that was stopped has no manifest yet, and a file of the same size may be another one's."""
     tiny = publish()
     download("tiny", sources=[tiny.folder])
@@ -222,7 +222,7 @@ def test_progress_counts_bytes(publish: Publish) -> None:
 def test_disk_space_is_checked_before(publish: Publish, machine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tiny = publish()
     monkeypatch.setattr(shutil, "disk_usage", lambda path: Usage(10**9, 10**9 - 100_000, 100_000))
-    with pytest.raises(StorageError, match=r"200\.6 kB have to be fetched .* 100\.0 kB are free") as caught:
+    with pytest.raises(StorageError, match=r"needs 200\.6 kB at .* 100\.0 kB are free") as caught:
         download("tiny", sources=[tiny.folder])
     assert "REMA_HOME" in caught.value.hint and fetched() == {}
     part = downloads_folder() / "tiny" / BLOCK / "steps.parquet.part"

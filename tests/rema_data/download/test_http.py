@@ -68,7 +68,7 @@ def test_every_byte_once(tiny: Mirrored) -> None:
         [Fault("long", 5)],
     ],
 )
-def test_what_passes_is_mended(tiny: Mirrored, faults: list[Fault]) -> None:
+def test_passing_faults_do_no_harm(tiny: Mirrored, faults: list[Fault]) -> None:
     with serve(tiny.folder, once(*faults)) as server:
         report = download("tiny", sources=[server.url])
     assert report.moved_bytes == tiny.size()
@@ -140,7 +140,7 @@ def test_a_mirror_that_is_down(tiny: Mirrored) -> None:
         assert download("tiny", sources=[down, good.url]).sources == {good.url: 3}
 
 
-def test_a_mirror_that_keeps_failing_is_asked_no_more(publish: Publish) -> None:
+def test_a_mirror_that_keeps_failing_is_not_asked_again(publish: Publish) -> None:
     notes: list[str] = []
 
     class Notes(Silent):

@@ -96,7 +96,7 @@ def test_a_damaged_manifest_beside_the_data(places: Path, tiny: ReleaseFolder) -
     path.write_bytes(path.read_bytes()[:-20])
     with pytest.raises(IntegrityError, match="cannot be used") as caught:
         find_release(release.path)
-    assert caught.value.hint == f"copy {path} again from where the release came from"
+    assert caught.value.hint == f"copy {path} again from where it came from"
 
 
 def test_blocks_are_here_when_all_their_files_have_their_size(places: Path, tiny: ReleaseFolder) -> None:

@@ -1,4 +1,4 @@
-"""Every damaged byte and every missing or additional file is found, named, and has a command that mends it."""
+"""Every damaged byte and every missing or additional file is found, named, and has a command that fixes it."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from rema_data.errors import InputError
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST
 from rema_data.release.registry import register
+from rema_data.repair import reinstall
 from rema_data.verify import Finding, verify
 from rema_data.verify.findings import LISTED_OF_A_KIND
 from tests.rema_data.verify.damage import GRASP_TRAIN, flip, location, make_whole, reseal
@@ -59,7 +60,7 @@ def test_flipped_byte_in_a_shard(release: ReleaseFolder) -> None:
     assert report.damaged == [place] and report.unread == [GRASP_TRAIN.path]
     (finding,) = report.findings
     assert (finding.kind, finding.file) == ("sha256", str(release.root / place))
-    assert "rema collect" in finding.mend
+    assert "rema collect" in finding.fix
 
 
 @given(st.data())
@@ -103,7 +104,7 @@ def test_unexpected_file(release: ReleaseFolder) -> None:
     path = release.path / GRASP_TRAIN.path / "notes.txt"
     path.write_text("hello")
     finding = only(release)
-    assert (finding.kind, finding.file, finding.mend) == ("unexpected", str(path), f"delete it: rm '{path}'")
+    assert (finding.kind, finding.file, finding.fix) == ("unexpected", str(path), f"delete it: rm {path}")
 
 
 def test_manifest_beside_the_data_is_another(release: ReleaseFolder) -> None:
@@ -160,10 +161,10 @@ def test_mending_command_depends_on_the_place(
     monkeypatch.chdir(tmp_path)
     for folder in (release, downloaded):
         flip(folder.root / location(folder, GRASP_TRAIN, SHARD), 100)
-    assert only(downloaded).mend == "rema verify tiny --repair --source URL"
-    assert only(release).mend.endswith("open them by their name: rema download tiny --source URL")
+    assert only(downloaded).fix == "rema verify tiny --repair --source URL"
+    assert only(release).fix.endswith("open them by their name: rema download tiny --source URL")
     (tmp_path / ".git").mkdir()
-    assert only(release).mend == f"git checkout -- data/tiny/{GRASP_TRAIN.path}/{SHARD}"
+    assert only(release).fix == f"git checkout -- data/tiny/{GRASP_TRAIN.path}/{SHARD}"
     bundled = tmp_path / "_releases"
     release.root.rename(bundled)
-    assert only(ReleaseFolder(release.manifest, bundled)).mend == "pip install --force-reinstall rema"
+    assert only(ReleaseFolder(release.manifest, bundled)).fix == reinstall()

@@ -38,7 +38,7 @@ def write_list(manifests: Path, scenes: pa.Table, step: int, name: str = "grasp_
 
 
 def test_scene_of_a_frozen_list(release: ReleaseFolder, manifests: Path) -> None:
-    """Whatever the step at which the frozen scenario has it."""
+    """At any step of the frozen scenario."""
     write_list(manifests, steps_of(release, GRASP_TRAIN).slice(4, 3), step=1)
     report = verify(release)
     assert report.checked["frozen_scenes"] == 4  # the empty objects are one
@@ -60,7 +60,7 @@ def test_other_numbers_are_another_scene(release: ReleaseFolder, manifests: Path
 
 
 def test_scene_of_the_training_split_in_the_validation_split(release: ReleaseFolder) -> None:
-    """Whatever the task."""
+    """In any task."""
     trained, place = steps_of(release, GRASP_TRAIN), location(release, PUSH_VAL, "steps.parquet")
     table = steps_of(release, PUSH_VAL)
     for part in SCENE:
@@ -74,7 +74,11 @@ def test_unreadable_list(release: ReleaseFolder, manifests: Path) -> None:
     path = write_list(manifests, steps_of(release, GRASP_TRAIN), step=0)
     path.write_bytes(b"nothing")
     (finding,) = verify(release).findings
-    assert (finding.kind, finding.file, finding.mend) == ("table", str(path), "git checkout -- manifests/scenarios")
+    assert (finding.kind, finding.file, finding.fix) == (
+        "table",
+        str(path),
+        f"copy {path} again from where it came from",
+    )
 
 
 def test_the_frozen_lists_of_the_repository_are_all_read() -> None:

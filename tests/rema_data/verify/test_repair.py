@@ -11,7 +11,7 @@ from rema_data.errors import InputError, MissingFileError
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST
 from rema_data.verify import verify
-from rema_data.verify.repair import repair
+from rema_data.verify.files import repair
 from tests.rema_data.verify.damage import GRASP_TRAIN, copy, flip, location
 
 SHARD = "maps.zarr/scene/c/0/0/0"

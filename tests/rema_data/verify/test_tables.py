@@ -74,7 +74,7 @@ CASES = [
     ("push", "labels", STEPS, cell(STEPS, "displacement_m", 0.0999, success=True), "moved the object less"),
     ("push", "labels", STEPS, cell(STEPS, "lift_m", -0.1, success=True), "lift_m is negative"),
     ("grasp", "labels", STEPS, cell(STEPS, "lift_m", 0.0, success=True), "did not lift"),
-    ("grasp", "labels", STEPS, cell(STEPS, "arm", "middle"), "arm is none of"),
+    ("grasp", "labels", STEPS, cell(STEPS, "arm", "middle"), "arm is not one of"),
     # the steps of an episode
     ("grasp_push", "episodes", STEPS, cell(STEPS, "success", False, success=True, last=False), "goes on"),
     ("grasp_push", "episodes", EPISODES, cell(STEPS, "success", True, success=False, last=False), "ends early"),
@@ -212,7 +212,7 @@ def test_contradicting_label_in_a_sealed_file(release: ReleaseFolder) -> None:
     assert {"labels", "counts"} == set(report.counts)
     assert f"row {row}" in {finding.where for finding in report.findings}
     assert not report.damaged
-    assert all("bytes are the sealed ones" in finding.mend for finding in report.findings)
+    assert all("bytes are the sealed ones" in finding.fix for finding in report.findings)
 
 
 def test_manifest_that_counts_otherwise(release: ReleaseFolder) -> None:

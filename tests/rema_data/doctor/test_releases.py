@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from rema_data.doctor.places import home, local_releases
+from rema_data.doctor.machine import home
+from rema_data.doctor.releases import local_releases
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST
 

@@ -1,10 +1,7 @@
-"""The folders that rema uses: its home, and the releases that are here."""
+"""The releases that are on this machine."""
 
 from __future__ import annotations
 
-import os
-import shutil
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,27 +9,8 @@ from rema_data.errors import RemaError
 from rema_data.release.folder import ReleaseFolder, downloads_folder, local_sources
 from rema_data.release.manifest import MANIFEST, parse_manifest
 from rema_data.release.registry import load_published, published
-from rema_data.storage import rema_home
 
-__all__ = ["Home", "ReleaseState", "home", "local_releases"]
-
-
-@dataclass(frozen=True, slots=True)
-class Home:
-    """The folder of everything that can be fetched or built again.
-
-    Attributes
-    ----------
-    path : str
-    writable : bool
-        Files can be created there.
-    free_bytes : int
-        On its disk.
-    """
-
-    path: str
-    writable: bool
-    free_bytes: int
+__all__ = ["ReleaseState", "local_releases"]
 
 
 @dataclass(frozen=True)
@@ -66,13 +44,6 @@ class ReleaseState:
         return self.identity in ("published", "not published")
 
 
-def home() -> Home:
-    """The state of ``REMA_HOME``."""
-    path = rema_home()
-    there = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
-    return Home(str(path), there.is_dir() and os.access(there, os.W_OK | os.X_OK), shutil.disk_usage(there).free)
-
-
 def local_releases() -> tuple[ReleaseState, ...]:
     """Releases in the folders where rema looks for them; the published ones in the order of their publication."""
     index = {entry.name: entry.sha256 for entry in published()}
@@ -81,12 +52,8 @@ def local_releases() -> tuple[ReleaseState, ...]:
         names = {path.parent.name for path in root.glob(f"*/{MANIFEST}")}
         names |= {name for name in index if (root / name).is_dir()}
         found += [_release_state(root, name, index.get(name)) for name in names]
-    order = list(index)
-    return tuple(sorted(found, key=lambda state: (state.name not in index, _position(order, state.name), state.path)))
-
-
-def _position(order: Sequence[str], name: str) -> int:
-    return order.index(name) if name in order else len(order)
+    order = {name: position for position, name in enumerate(index)}
+    return tuple(sorted(found, key=lambda state: (order.get(state.name, len(order)), state.path)))
 
 
 def _release_state(root: Path, name: str, known: str | None) -> ReleaseState:
