@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from evaluator.engines.base import SIMULATOR, Engine, EngineType
 from rema_data.errors import InputError
@@ -13,27 +13,17 @@ if TYPE_CHECKING:
 __all__ = ["check_engine", "engine_names", "engine_type", "make_engine", "worker_count"]
 
 GROUP = "rema.engines"
-BUILT_IN = {
-    "process": "evaluator.engines.process:ProcessEngine",
-    "inline": "evaluator.engines.inline:InlineEngine",
-    "ray": "evaluator.engines.ray:RayEngine",
-}
-"""As in ``pyproject.toml``, for a checkout that is not installed."""
 
 
 def _installed() -> dict[str, EntryPoint]:
-    from importlib.metadata import EntryPoint, entry_points  # workers import this package and need to start at once
+    from rema_data.plugins import installed  # workers import this package, and need to start at once
 
-    built_in = (EntryPoint(name, value, GROUP) for name, value in BUILT_IN.items())
-    found: dict[str, EntryPoint] = {}
-    for entry in (*entry_points(group=GROUP), *built_in):
-        found.setdefault(entry.name, entry)
-    return dict(sorted(found.items()))
+    return installed(GROUP)
 
 
-def engine_names() -> tuple[str, ...]:
-    """Names of the installed engines."""
-    return tuple(_installed())
+def engine_names() -> list[str]:
+    """Names of the installed engines, in alphabetical order."""
+    return list(_installed())
 
 
 def engine_type(name: str) -> EngineType:
@@ -44,16 +34,12 @@ def engine_type(name: str) -> EngineType:
     InputError
         No such engine is installed, or it cannot be imported.
     """
-    installed = _installed()
-    if name not in installed:
-        raise InputError(f"unknown engine {name!r}", hint=f"installed: {', '.join(installed)}", engine=name)
-    try:
-        found: EngineType = installed[name].load()
-    except (ImportError, AttributeError) as error:
-        raise InputError(
-            f"the {name} engine cannot be loaded: {error}", hint=f"installed: {', '.join(installed)}", engine=name
-        ) from error
-    return found
+    from rema_data.plugins import load
+
+    point = _installed().get(name)
+    if point is None:
+        raise InputError(f"unknown engine {name!r}", hint=f"installed: {', '.join(engine_names())}", engine=name)
+    return cast(EngineType, load(point, type))
 
 
 def check_engine(name: str, workers: int | None = None, address: str | None = None) -> EngineType:
