@@ -65,3 +65,11 @@ def test_a_change_of_rema(heading: str, tmp_path: Path) -> None:
             content = before.replace(found, (found if how == "after" else "") + content)
         path.write_text(content, encoding="utf-8")
     python(tmp_path, "try_it.py")
+
+
+def test_every_session_that_is_named_exists() -> None:
+    sessions = set(re.findall(r"^def (\w+)\(session", (ROOT / "noxfile.py").read_text(encoding="utf-8"), re.M))
+    sessions |= {"py311", "py312", "py313"}
+    texts = TEXT + (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    named = {name for names in re.findall(r"nox [^`\n]*?-s ([\w ]+)", texts) for name in names.split()}
+    assert {"lint", "types", "imports", "tests", "benchmarks", "docs"} <= named <= sessions
