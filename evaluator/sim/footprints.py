@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 from evaluator.sim.parameters import WorldParameters
 from evaluator.sim.planar import Rect, gap
@@ -41,6 +42,7 @@ def lowest_point(grip: Grip | None) -> float:
     return 0.0 if grip is None else min(0.0, grip.z_m - grip.spec.height_m / 2)
 
 
+@lru_cache(maxsize=64)
 def inner_extents(grips: tuple[Grip, ...]) -> tuple[float, float]:
     """How far each stick reaches from its hand towards the other one, metres: left, right."""
     left = min(rect.moved(0, 0, HAND_TURNS[0]).extent(0.0)[0] for rect in held_footprint(grips[0]))
