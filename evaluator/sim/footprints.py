@@ -50,15 +50,6 @@ def inner_extents(grips: tuple[Grip, ...]) -> tuple[float, float]:
     return -left, right
 
 
-def hand_footprints(grips: tuple[Grip, ...], distances: tuple[float, float], p: WorldParameters) -> list[list[Rect]]:
-    """Footprints in the pair frame: fingers and stick of the left hand, then of the right hand."""
-    result = []
-    for grip, distance, side, turn in zip(grips, distances, SIDES, HAND_TURNS, strict=True):
-        parts = hand_footprint(grip.opening_m, grip, p)
-        result.append([rect.moved(side * distance, 0.0, turn) for rect in parts])
-    return result
-
-
 def pair_heights(grips: tuple[Grip, ...], clearance_m: float) -> tuple[float, float]:
     """Heights of the two tool centre points that put each hand's lowest point ``clearance_m`` above the way's z."""
     left, right = (clearance_m - lowest_point(grip) for grip in grips)
