@@ -1,7 +1,7 @@
-"""What every kind of step answers. A kind is a stateless object: it asks for no PyBullet but in ``carry_out``.
+"""What every kind of step answers, and what kinds of the same primitive share (``GraspKind``, ``PushKind``).
 
-``GraspKind`` and ``PushKind`` hold what the kinds of one primitive share. By default one hand acts at the action's place;
-``pair.TwoArms`` makes it two.
+A kind is a stateless object; only ``carry_out`` needs PyBullet. One hand acts at the action's place, unless a kind says
+otherwise (``pair.TwoArms``).
 """
 
 from __future__ import annotations
