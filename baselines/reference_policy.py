@@ -15,7 +15,6 @@ import numpy.typing as npt
 from baselines.observation_hash import observation_numbers
 from baselines.scripted_policy import ScriptedPolicy
 from evaluator.policy.contract import ObservationBatch
-from evaluator.sim.footprints import hand_footprints, inner_extents
 from evaluator.sim.kinds import kind_of
 from evaluator.sim.parameters import WORLD
 from evaluator.sim.planar import gap
@@ -77,12 +76,8 @@ def _first(situation: Situation, valid: Valid, number: int) -> int | None:
 
 def _pinch(situation: Situation, valid: Valid) -> int | None:
     """Across a bar where the open sticks have room, with the centre of mass as near to their line as can be."""
-    target, grips = situation.target, situation.grips
-    left_m, right_m = inner_extents(grips)
-    hands = hand_footprints(grips, (WORLD.pair_open_m + left_m, WORLD.pair_open_m + right_m), WORLD)
-    sticks = [rect for hand in hands for rect in hand]
-    obstacles = footprint(target)
-    for _, action in sorted(_pinch_aims(target)):
+    sticks, obstacles = kind_of(situation).footprint(situation, WORLD), footprint(situation.target)
+    for _, action in sorted(_pinch_aims(situation.target)):
         x_m, y_m, theta = (float(value) for value in grid.to_world(action))
         if valid[action] and gap((rect.moved(x_m, y_m, theta) for rect in sticks), obstacles) > _CLEARANCE_M:
             return action

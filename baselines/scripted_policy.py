@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from baselines.observation_hash import observation_numbers
 from evaluator.policy.contract import ObservationBatch
-from evaluator.sim.kinds import kind_of
+from evaluator.sim.kinds import KINDS
 from rema_data import grid
-from rema_data.schema import Situation
+from rema_data.schema import Embodiment, Primitive, Situation, StepKind
 
 __all__ = ["ScriptedPolicy"]
 
@@ -38,7 +38,8 @@ class ScriptedPolicy:
         angles = np.array(
             [_angle(*pair) for pair in zip(observations.valid, observation_numbers(observations), strict=True)]
         )
-        aims = np.array([kind_of(situation).aim(situation.target) for situation in situations]).reshape(-1, 2)
+        kind = KINDS[StepKind(Primitive(observations.primitive), Embodiment(observations.embodiment))]
+        aims = np.array([kind.aim(situation.target) for situation in situations]).reshape(-1, 2)
         rows, columns, _ = grid.decode(grid.snap(aims[:, 0], aims[:, 1], angles * (2 * np.pi / grid.ANGLES)))
         cells = zip(observations.valid, rows.tolist(), columns.tolist(), angles.tolist(), strict=True)
         return np.array([grid.encode(*nearest_valid(*cell)) for cell in cells], np.int64)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 from evaluator.sim.parameters import WorldParameters
 from evaluator.sim.planar import Rect, gap
@@ -41,20 +42,12 @@ def lowest_point(grip: Grip | None) -> float:
     return 0.0 if grip is None else min(0.0, grip.z_m - grip.spec.height_m / 2)
 
 
+@lru_cache(maxsize=64)
 def inner_extents(grips: tuple[Grip, ...]) -> tuple[float, float]:
     """How far each stick reaches from its hand towards the other one, metres: left, right."""
     left = min(rect.moved(0, 0, HAND_TURNS[0]).extent(0.0)[0] for rect in held_footprint(grips[0]))
     right = max(rect.moved(0, 0, HAND_TURNS[1]).extent(0.0)[1] for rect in held_footprint(grips[1]))
     return -left, right
-
-
-def hand_footprints(grips: tuple[Grip, ...], distances: tuple[float, float], p: WorldParameters) -> list[list[Rect]]:
-    """Footprints in the pair frame: fingers and stick of the left hand, then of the right hand."""
-    result = []
-    for grip, distance, side, turn in zip(grips, distances, SIDES, HAND_TURNS, strict=True):
-        parts = hand_footprint(grip.opening_m, grip, p)
-        result.append([rect.moved(side * distance, 0.0, turn) for rect in parts])
-    return result
 
 
 def pair_heights(grips: tuple[Grip, ...], clearance_m: float) -> tuple[float, float]:

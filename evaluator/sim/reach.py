@@ -35,7 +35,7 @@ def reachable(kind: StepKind, parameters: WorldParameters = WORLD) -> Array:
     shifts = asked.reach_shifts(parameters)
     result: Array = np.zeros((2, *_SHAPE), bool)
     for side, (arm, along) in enumerate((("left", 1.0), ("right", -1.0))):
-        yaw = asked.hand_yaws(theta)[side]
+        yaw = theta + asked.turns[side]
         result[side] = np.logical_and.reduce(
             [
                 _path_ok(

@@ -1,27 +1,27 @@
-"""What every kind of step answers, and what kinds with the same primitive or the same number of arms share.
+"""What every kind of step answers, and what kinds of the same primitive share (``GraspKind``, ``PushKind``).
 
-A kind is a stateless object. It combines a primitive (``GraspKind``, ``PushKind``) with ``OneArm`` or ``TwoArms``, and
-adds what is its own. No PyBullet is needed to ask it anything but ``carry_out``.
+A kind is a stateless object; only ``carry_out`` needs PyBullet. One hand acts at the action's place, unless a kind says
+otherwise (``pair.TwoArms``).
 """
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from evaluator.sim.attempt import POLL_EVERY, Attempt, AttemptFailed
-from evaluator.sim.footprints import finger_footprint, hand_footprint
+from evaluator.sim.footprints import SIDES, hand_footprint
 from evaluator.sim.parameters import WORLD, WorldParameters
 from evaluator.sim.planar import Rect
-from evaluator.sim.shapes import held_footprint
-from evaluator.sim.staging import HandPose, Part, Pose, Thing, turned
+from evaluator.sim.staging import ARMS, HandPose, Part, Pose, Thing, turned
 from rema_data.schema import Failure, Grip, Pinch, Placement, Situation, StepKind
 
-__all__ = ["TOOL_HEIGHTS_M", "GraspKind", "Kind", "OneArm", "PushKind", "hand_parts"]
+__all__ = ["TOOL_HEIGHTS_M", "GraspKind", "Kind", "PushKind"]
 
 Flags = npt.NDArray[np.bool_]
 
@@ -46,6 +46,10 @@ class Kind(ABC):
         Whether the end effector closes, so that its two states differ.
     symmetric : bool
         Whether half a turn of the hand makes no difference.
+    tools_touch : bool
+        Whether held tools may touch the target.
+    sides, turns : tuple of float
+        Direction of each hand from the action's place along its axis (1 or -1), and its yaw against the action's.
     """
 
     step: ClassVar[StepKind]
@@ -55,6 +59,9 @@ class Kind(ABC):
     measure: ClassVar[str]
     closes: ClassVar[bool] = False
     symmetric: ClassVar[bool] = False
+    tools_touch: ClassVar[bool] = True
+    sides: ClassVar[tuple[float, ...]] = SIDES
+    turns: ClassVar[tuple[float, ...]] = (0.0, 0.0)
 
     @property
     def two_arms(self) -> bool:
@@ -68,9 +75,9 @@ class Kind(ABC):
 
     # Reach: an arm must get to every combination of these
 
-    @abstractmethod
     def reach_distances(self, p: WorldParameters) -> tuple[float, ...]:
         """Distances of a hand from the action's place, m."""
+        return (0.0,)
 
     @abstractmethod
     def reach_heights(self, p: WorldParameters) -> tuple[float, ...]:
@@ -80,13 +87,28 @@ class Kind(ABC):
     def reach_shifts(self, p: WorldParameters) -> tuple[float, ...]:
         """Points of the hand's way along +x, m; the last one is its end."""
 
-    @abstractmethod
-    def hand_yaws(self, theta: Any) -> tuple[Any, Any]:
-        """Yaw of the left and of the right hand for an action angle (rad)."""
-
     # Staging: where hands and held things stand
 
-    @abstractmethod
+    def distances(self, situation: Situation, closed: bool, p: WorldParameters) -> tuple[float, ...]:
+        """Distance of each hand from the action's place, m, in the start or the end (closed) state."""
+        return (0.0,)
+
+    def heights(self, situation: Situation, p: WorldParameters) -> tuple[float, ...]:
+        """Height of each tool centre point above the height of the whole, m."""
+        return (0.0,)
+
+    def openings(self, situation: Situation, closed: bool, p: WorldParameters) -> tuple[float, ...]:
+        """Gap between the fingers of each hand, m: as wide as its tool."""
+        return tuple(grip.opening_m for grip in situation.grips)
+
+    def grips(self, situation: Situation) -> tuple[Grip, ...]:
+        """The tools that take part."""
+        return () if self.bare else situation.grips
+
+    def start_height(self, situation: Situation, clearance_m: float) -> float:
+        """Height of the whole that keeps what is held ``clearance_m`` above the target's top."""
+        return situation.target.spec.height_m + clearance_m
+
     def hands(
         self,
         situation: Situation,
@@ -110,6 +132,21 @@ class Kind(ABC):
         closed : bool
             The end state (jaws or sticks closed) instead of the start state.
         """
+        x, y, yaw = pose
+        c, s = math.cos(yaw), math.sin(yaw)
+        hands = zip(
+            ARMS if self.two_arms else (arm,),
+            self.sides,
+            self.turns,
+            self.distances(situation, closed, p),
+            self.heights(situation, p),
+            self.openings(situation, closed, p),
+            strict=False,
+        )
+        return [
+            HandPose(name, x + side * far * c, y + side * far * s, height_m + height, yaw + turn, opening)
+            for name, side, turn, far, height, opening in hands
+        ]
 
     def held(self, situation: Situation, hands: list[HandPose], pose: Pose) -> list[Thing]:
         """What hands at these poses hold, in the order in which it is put there: tools, then a pinched object."""
@@ -119,19 +156,32 @@ class Kind(ABC):
             things.append(Thing("tool", grip.spec, x, y, hand.z_m + grip.z_m, hand.yaw_rad + grip.yaw_rad))
         return things
 
-    def grips(self, situation: Situation) -> tuple[Grip, ...]:
-        """The tools that take part."""
-        return () if self.bare else situation.grips
+    # Footprints and maps, in the frame of the action
 
-    def start_height(self, situation: Situation, clearance_m: float) -> float:
-        """``height_m`` of hands that keep everything held ``clearance_m`` above the target's top."""
-        return situation.target.spec.height_m + clearance_m
+    def footprints(self, situation: Situation, closed: bool, p: WorldParameters) -> list[list[Rect]]:
+        """Fingers and tool of every hand: two fingers, then the boxes of its tool."""
+        distances, openings = self.distances(situation, closed, p), self.openings(situation, closed, p)
+        grips = self.grips(situation) or (None,)
+        return [
+            [rect.moved(side * far, 0.0, turn) for rect in hand_footprint(opening, grip, p)]
+            for grip, side, turn, far, opening in zip(grips, self.sides, self.turns, distances, openings, strict=False)
+        ]
 
-    # Maps
+    def footprint(self, situation: Situation, p: WorldParameters) -> list[Rect]:
+        """Everything that comes down to the target's height."""
+        return [rect for hand in self.footprints(situation, False, p) for rect in hand]
 
-    @abstractmethod
     def parts(self, situation: Situation, closed: bool, p: WorldParameters) -> list[Part]:
         """The boxes of the end effector in its start or its end state, as its map shows them."""
+        parts = []
+        grips = self.grips(situation) or (None,)
+        hands = zip(grips, self.footprints(situation, closed, p), self.heights(situation, p), strict=True)
+        for grip, rects, tip in hands:
+            parts += [Part(rect, tip, tip + p.finger_length_m, self.bare) for rect in rects[:2]]
+            if grip is not None:
+                bottom = tip + grip.z_m - grip.spec.height_m / 2
+                parts += [Part(rect, bottom, bottom + grip.spec.height_m, self.tools_touch) for rect in rects[2:]]
+        return parts
 
     # The attempt
 
@@ -200,7 +250,6 @@ class GraspKind(Kind):
     closes = True
 
     def reach_shifts(self, p: WorldParameters) -> tuple[float, ...]:
-        """The hand goes nowhere but up."""
         return (0.0,)
 
     @abstractmethod
@@ -208,38 +257,32 @@ class GraspKind(Kind):
         """How high the target has to be."""
 
     def goal(self, p: WorldParameters) -> str:
-        """The target is held, high enough."""
         return (
             f"{p.hold_steps} simulation steps after the lift, the target's centre of mass is at least "
             f"{self.success_lift_m(p):g} m higher than on the table, and the target is still held"
         )
 
     def spawn(self, rng: np.random.Generator, p: WorldParameters) -> tuple[float, float]:
-        """Anywhere in the square."""
         x, y = (float(value) for value in rng.uniform(-p.grasp_spawn_half_m, p.grasp_spawn_half_m, 2))
         return x, y
 
 
 class PushKind(Kind):
-    """A step that moves the target in +x."""
+    """A step that moves the target in +x; it starts further to +x, with room behind it."""
 
     measure = "displacement_m"
 
     def reach_shifts(self, p: WorldParameters) -> tuple[float, ...]:
-        """Start, middle and end of the push."""
         return 0.0, p.push_distance_m / 2, p.push_distance_m
 
     def goal(self, p: WorldParameters) -> str:
-        """The target has moved far enough."""
         return f"at rest, the target's centre of mass is at least {p.push_success_m:g} m further in +x than before"
 
     def spawn(self, rng: np.random.Generator, p: WorldParameters) -> tuple[float, float]:
-        """Further to +x, with room behind."""
         x = float(rng.uniform(p.push_spawn_x_min_m, p.push_spawn_x_max_m))
         return x, float(rng.uniform(-p.push_spawn_half_y_m, p.push_spawn_half_y_m))
 
     def aim(self, target: Placement, p: WorldParameters = WORLD) -> tuple[float, float]:
-        """A constant offset behind the centre of mass."""
         return target.x_m - p.scripted_push_offset_m, target.y_m
 
     def settle(self, attempt: Attempt) -> None:
@@ -257,63 +300,3 @@ class PushKind(Kind):
             raise AttemptFailed(Failure.TOOL_LOST)
         if moved < attempt.parameters.push_success_m:
             raise AttemptFailed(Failure.TOO_LITTLE if attempt.evidence.contact_steps else Failure.MISSED)
-
-
-class OneArm(Kind):
-    """A step of one hand, which turns with the action; what it holds, if anything, is one tool."""
-
-    @abstractmethod
-    def opening(self, situation: Situation, closed: bool, p: WorldParameters) -> float:
-        """Gap between the fingers, m."""
-
-    def grip(self, situation: Situation) -> Grip | None:
-        """The tool that takes part."""
-        return next(iter(self.grips(situation)), None)
-
-    def footprint(self, situation: Situation, p: WorldParameters) -> tuple[Rect, ...]:
-        """Fingers and tool in the hand frame, as they come down."""
-        return hand_footprint(self.opening(situation, False, p), self.grip(situation), p)
-
-    def reach_distances(self, p: WorldParameters) -> tuple[float, ...]:
-        """The hand is at the action's place."""
-        return (0.0,)
-
-    def hand_yaws(self, theta: Any) -> tuple[Any, Any]:
-        """The closing axis turns with the action."""
-        return theta, theta
-
-    def hands(
-        self,
-        situation: Situation,
-        pose: Pose,
-        height_m: float,
-        arm: str = "left",
-        closed: bool = False,
-        p: WorldParameters = WORLD,
-    ) -> list[HandPose]:
-        """One hand at the action's place."""
-        x, y, yaw = pose
-        return [HandPose(arm, x, y, height_m, yaw, self.opening(situation, closed, p))]
-
-    def parts(self, situation: Situation, closed: bool, p: WorldParameters) -> list[Part]:
-        """Fingers, and the tool if one is held."""
-        fingers = finger_footprint(self.opening(situation, closed, p), p)
-        grip = self.grip(situation)
-        return hand_parts(fingers, () if grip is None else held_footprint(grip), grip, 0.0, self.bare, True, p)
-
-
-def hand_parts(
-    fingers: tuple[Rect, ...],
-    tool: tuple[Rect, ...],
-    grip: Grip | None,
-    tip_m: float,
-    fingers_allowed: bool,
-    tool_allowed: bool,
-    p: WorldParameters,
-) -> list[Part]:
-    """Boxes of a hand whose tool centre point is at height ``tip_m``, and of the tool in it."""
-    parts = [Part(rect, tip_m, tip_m + p.finger_length_m, fingers_allowed) for rect in fingers]
-    if grip is not None:
-        bottom = tip_m + grip.z_m - grip.spec.height_m / 2
-        parts += [Part(rect, bottom, bottom + grip.spec.height_m, tool_allowed) for rect in tool]
-    return parts

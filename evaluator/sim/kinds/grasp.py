@@ -9,7 +9,7 @@ import numpy as np
 
 from evaluator.sim.attempt import CLEAR_M, POLL_EVERY, Attempt, AttemptFailed, relative
 from evaluator.sim.footprints import clear_of_target, finger_footprint
-from evaluator.sim.kinds.base import Flags, GraspKind, OneArm
+from evaluator.sim.kinds.base import Flags, GraspKind
 from evaluator.sim.motion import line, profile
 from evaluator.sim.parameters import WorldParameters
 from evaluator.sim.planar import Rect, gap
@@ -26,23 +26,20 @@ CLEARANCE_M = 0.0015
 """Room that the descending fingers of a reference pick must have beside the object."""
 
 
-class Grasp(OneArm, GraspKind):
+class Grasp(GraspKind):
     """A grasp with bare fingers. Where it is not the last step of a task, the object becomes a tool."""
 
     step = StepKind(Primitive.GRASP, Embodiment.GRIPPER)
     acting, touching = "the gripper", "the fingers"
     symmetric = True
 
-    def opening(self, situation: Situation, closed: bool, p: WorldParameters) -> float:
-        """Wide open before, closed after."""
-        return 0.0 if closed else p.opening_max_m
+    def openings(self, situation: Situation, closed: bool, p: WorldParameters) -> tuple[float, ...]:
+        return (0.0 if closed else p.opening_max_m,)
 
     def reach_heights(self, p: WorldParameters) -> tuple[float, ...]:
-        """Ends of the lift."""
         return p.grasp_height_m, p.grasp_height_m + p.lift_height_m
 
     def success_lift_m(self, p: WorldParameters) -> float:
-        """Two thirds of the lift."""
         return p.grasp_success_lift_m
 
     def can_touch(self, situation: Situation, pose: Pose, p: WorldParameters) -> bool:

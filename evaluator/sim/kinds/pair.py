@@ -7,7 +7,6 @@ both hands together or apart by a small correction until the weaker side presses
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -16,13 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluator.sim.attempt import Attempt, AttemptFailed
-from evaluator.sim.footprints import HAND_TURNS, SIDES, hand_footprints, inner_extents
-from evaluator.sim.kinds.base import Kind, hand_parts
+from evaluator.sim.footprints import HAND_TURNS, SIDES, inner_extents
+from evaluator.sim.kinds.base import Kind
 from evaluator.sim.kinematics import solve_path, within_limits
 from evaluator.sim.motion import JointPath, profile
-from evaluator.sim.parameters import WORLD, WorldParameters
-from evaluator.sim.staging import ARMS, HandPose, Part, Pose
-from rema_data.schema import Failure, Situation
+from evaluator.sim.parameters import WorldParameters
+from evaluator.sim.staging import Pose
+from rema_data.schema import Failure
 
 __all__ = ["PairPath", "Squeeze", "TwoArms", "command", "pair_frame", "pair_path", "sticks_of"]
 
@@ -53,7 +52,7 @@ class PairPath:
 
 
 def pair_path(
-    attempt: Attempt, way: Array, theta: float, distances: tuple[Any, Any], heights: tuple[float, float]
+    attempt: Attempt, way: Array, theta: float, distances: tuple[Any, ...], heights: tuple[float, ...]
 ) -> PairPath:
     """Joint paths of both arms; raises AttemptFailed(UNREACHABLE) outside the joint limits.
 
@@ -65,7 +64,7 @@ def pair_path(
         Yaw of the pair.
     distances : float or float64 (n + 1,), for each hand
         From the pair's origin to the tool centre point.
-    heights : (float, float)
+    heights : float, for each hand
         Of the tool centre points above the way.
     """
     p = attempt.parameters
@@ -162,55 +161,12 @@ class TwoArms(Kind):
     a turn about it.
     """
 
-    @abstractmethod
-    def distances(self, situation: Situation, closed: bool, p: WorldParameters) -> tuple[float, float]:
-        """Distance of the left and of the right hand from the pair's origin, m."""
-
-    @abstractmethod
-    def heights(self, situation: Situation, p: WorldParameters) -> tuple[float, float]:
-        """Heights of the two tool centre points while the pair works, m."""
-
-    @property
-    @abstractmethod
-    def sticks_allowed(self) -> bool:
-        """Whether the sticks may touch the target."""
+    turns = HAND_TURNS
 
     def reach_distances(self, p: WorldParameters) -> tuple[float, ...]:
         """Smallest and largest distance from the pair's origin: sticks held within a quarter of their middle."""
         half_short, half_long = p.stick_length_min_m / 2, p.stick_length_max_m / 2
         return 0.75 * half_short, 1.25 * half_long + p.pair_open_m
-
-    def hand_yaws(self, theta: Any) -> tuple[Any, Any]:
-        """Across the pair's axis."""
-        return theta + HAND_TURNS[0], theta + HAND_TURNS[1]
-
-    def hands(
-        self,
-        situation: Situation,
-        pose: Pose,
-        height_m: float,
-        arm: str = "left",
-        closed: bool = False,
-        p: WorldParameters = WORLD,
-    ) -> list[HandPose]:
-        """Left and right hand."""
-        x, y, theta = pose
-        c, s = math.cos(theta), math.sin(theta)
-        distances, heights = self.distances(situation, closed, p), self.heights(situation, p)
-        return [
-            HandPose(name, x + side * far * c, y + side * far * s, height_m + height, theta + turn, grip.opening_m)
-            for name, side, turn, far, height, grip in zip(
-                ARMS, SIDES, HAND_TURNS, distances, heights, situation.grips, strict=True
-            )
-        ]
-
-    def parts(self, situation: Situation, closed: bool, p: WorldParameters) -> list[Part]:
-        """Fingers and stick of the left hand, then of the right hand."""
-        parts: list[Part] = []
-        hands = hand_footprints(situation.grips, self.distances(situation, closed, p), p)
-        for grip, rects, tip in zip(situation.grips, hands, self.heights(situation, p), strict=True):
-            parts += hand_parts(tuple(rects[:2]), tuple(rects[2:]), grip, tip, False, self.sticks_allowed, p)
-        return parts
 
     def lower(self, attempt: Attempt, pose: Pose, start_m: float, path: PairPath) -> PairPath | None:
         """Put the pair with its sticks ``start_m`` above the first row of ``path``, at rest.

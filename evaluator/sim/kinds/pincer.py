@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from evaluator.sim.attempt import CLEAR_M, CLEAR_TOOL_M, Attempt, AttemptFailed, relative
-from evaluator.sim.footprints import SIDES, clear_of_target, hand_footprints, inner_extents, pair_heights
+from evaluator.sim.footprints import clear_of_target, inner_extents, pair_heights
 from evaluator.sim.kinds.base import TOOL_HEIGHTS_M, Flags, GraspKind
 from evaluator.sim.kinds.pair import Squeeze, TwoArms, command, pair_frame, pair_path, sticks_of
 from evaluator.sim.motion import profile
@@ -30,33 +30,26 @@ class Pincer(TwoArms, GraspKind):
 
     step = StepKind(Primitive.GRASP, Embodiment.STICKS)
     acting, touching, role = "two sticks", "the two held sticks", "tool"
-    sticks_allowed = True
 
-    def distances(self, situation: Situation, closed: bool, p: WorldParameters) -> tuple[float, float]:
-        """Tips apart, or together."""
+    def distances(self, situation: Situation, closed: bool, p: WorldParameters) -> tuple[float, ...]:
         left, right = inner_extents(situation.grips)
         opened = 0.0 if closed else p.pair_open_m
         return left + opened, right + opened
 
-    def heights(self, situation: Situation, p: WorldParameters) -> tuple[float, float]:
-        """So high that hands and sticks keep clear of the table."""
+    def heights(self, situation: Situation, p: WorldParameters) -> tuple[float, ...]:
         return pair_heights(situation.grips, p.pair_clearance_m)
 
     def reach_heights(self, p: WorldParameters) -> tuple[float, ...]:
-        """For any stick, and at the top of the lift."""
         return *TOOL_HEIGHTS_M, TOOL_HEIGHTS_M[1] + p.pair_lift_height_m
 
     def success_lift_m(self, p: WorldParameters) -> float:
-        """Nearly the whole lift."""
         return p.pair_success_lift_m
 
     def can_touch(self, situation: Situation, pose: Pose, p: WorldParameters) -> bool:
         """Sticks and hands sweep rectangles while they close."""
-        hands = hand_footprints(situation.grips, self.distances(situation, False, p), p)
+        hands = zip(self.sides, self.footprints(situation, False, p), strict=True)
         way = p.pair_open_m - p.pair_empty_m
-        covered = [
-            swept(rect, -side * way).moved(*pose) for side, rects in zip(SIDES, hands, strict=True) for rect in rects
-        ]
+        covered = [swept(rect, -side * way).moved(*pose) for side, rects in hands for rect in rects]
         return gap(covered, footprint(situation.target)) <= CLEAR_TOOL_M
 
     def carry_out(self, attempt: Attempt, pose: Pose) -> Pinch | None:
@@ -73,8 +66,7 @@ class Pincer(TwoArms, GraspKind):
         rise = np.stack([np.full_like(lift, x), np.full_like(lift, y), p.pair_lift_height_m * lift], axis=1)
 
         start = 0.0
-        footprints = [rect for hand in hand_footprints(situation.grips, opened, p) for rect in hand]
-        if not clear_of_target(situation, footprints, pose, CLEAR_M):
+        if not clear_of_target(situation, self.footprint(situation, p), pose, CLEAR_M):
             start = self.start_height(situation, p.approach_clearance_m) - p.pair_clearance_m
         down = self.lower(attempt, pose, start, closing)
         attempt.allowed = sticks_of(attempt)

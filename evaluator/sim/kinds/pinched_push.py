@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from evaluator.sim.attempt import CLEAR_M, POLL_EVERY, Attempt, AttemptFailed, relative
-from evaluator.sim.footprints import clear_of_target, hand_footprints, pair_heights
+from evaluator.sim.footprints import clear_of_target, pair_heights
 from evaluator.sim.kinds.base import TOOL_HEIGHTS_M, PushKind
 from evaluator.sim.kinds.pair import PairPath, Squeeze, TwoArms, pair_frame, pair_path, sticks_of
 from evaluator.sim.motion import profile
@@ -23,14 +23,13 @@ class PinchedPush(TwoArms, PushKind):
 
     step = StepKind(Primitive.PUSH, Embodiment.PINCHED)
     acting, touching, role = "a pinched object", "the pinched object", "held"
-    sticks_allowed = False
+    tools_touch = False
 
-    def distances(self, situation: Situation, closed: bool, p: WorldParameters) -> tuple[float, float]:
-        """As they pinched."""
+    def distances(self, situation: Situation, closed: bool, p: WorldParameters) -> tuple[float, ...]:
         pinch = _pinch(situation)
         return pinch.left_m, pinch.right_m
 
-    def heights(self, situation: Situation, p: WorldParameters) -> tuple[float, float]:
+    def heights(self, situation: Situation, p: WorldParameters) -> tuple[float, ...]:
         """As they pinched, and the whole lowered until its lowest point is at the clearance."""
         pinch, heights = _pinch(situation), pair_heights(situation.grips, p.pair_clearance_m)
         bottom = min(min(heights) + pinch.z_m - pinch.spec.height_m / 2, p.pair_clearance_m)
@@ -38,18 +37,18 @@ class PinchedPush(TwoArms, PushKind):
         return heights[0] + shift, heights[1] + shift
 
     def reach_heights(self, p: WorldParameters) -> tuple[float, ...]:
-        """For any sticks."""
         return TOOL_HEIGHTS_M
 
     def held(self, situation: Situation, hands: list[HandPose], pose: Pose) -> list[Thing]:
-        """Both sticks, and the object between them."""
         pinch = _pinch(situation)
         x, y = turned(pose, pinch.x_m, pinch.y_m)
         z = min(hand.z_m for hand in hands) + pinch.z_m
         return [*super().held(situation, hands, pose), Thing("held", pinch.spec, x, y, z, pose[2] + pinch.yaw_rad)]
 
+    def footprint(self, situation: Situation, p: WorldParameters) -> list[Rect]:
+        return super().footprint(situation, p) + _pinched(_pinch(situation))
+
     def parts(self, situation: Situation, closed: bool, p: WorldParameters) -> list[Part]:
-        """Hands and sticks, and the object between them."""
         pinch = _pinch(situation)
         bottom = min(self.heights(situation, p)) + pinch.z_m - pinch.spec.height_m / 2
         return super().parts(situation, closed, p) + [
@@ -65,14 +64,12 @@ class PinchedPush(TwoArms, PushKind):
         p, world, situation = attempt.parameters, attempt.world, attempt.situation
         pinch = _pinch(situation)
         x, y, theta = pose
-        distances = self.distances(situation, False, p)
         shares = profile(p.push_distance_m, p.pinched_push_speed_m_s, attempt.tick_s, p.ramp_share)
         way = np.stack([x + p.push_distance_m * shares, np.full_like(shares, y), np.zeros_like(shares)], axis=1)
-        across = pair_path(attempt, way, theta, distances, self.heights(situation, p))
+        across = pair_path(attempt, way, theta, self.distances(situation, False, p), self.heights(situation, p))
 
         start = 0.0
-        footprints = [rect for hand in hand_footprints(situation.grips, distances, p) for rect in hand]
-        if not clear_of_target(situation, [*footprints, *_pinched(pinch)], pose, CLEAR_M):
+        if not clear_of_target(situation, self.footprint(situation, p), pose, CLEAR_M):
             start = self.start_height(situation, p.approach_clearance_m) - p.pinched_clearance_m
         down = self.lower(attempt, pose, start, across)
         held = world.put(self.held(situation, self.hands(situation, pose, start, p=p), pose)[-1])

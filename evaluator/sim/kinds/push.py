@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from evaluator.sim.attempt import CLEAR_M, POLL_EVERY, Attempt, AttemptFailed
 from evaluator.sim.footprints import clear_of_target
-from evaluator.sim.kinds.base import OneArm, PushKind
+from evaluator.sim.kinds.base import PushKind
 from evaluator.sim.motion import line, profile
 from evaluator.sim.parameters import WorldParameters
 from evaluator.sim.planar import gap, swept
@@ -15,7 +15,7 @@ from rema_data.schema import Embodiment, Failure, Primitive, Situation, StepKind
 __all__ = ["Push"]
 
 
-class Push(OneArm, PushKind):
+class Push(PushKind):
     """A push of one hand, with closed bare fingers."""
 
     step = StepKind(Primitive.PUSH, Embodiment.GRIPPER)
@@ -24,9 +24,8 @@ class Push(OneArm, PushKind):
     margin_m = CLEAR_M
     """What passes the target farther away than this can't touch it."""
 
-    def opening(self, situation: Situation, closed: bool, p: WorldParameters) -> float:
-        """Closed all the time."""
-        return 0.0
+    def openings(self, situation: Situation, closed: bool, p: WorldParameters) -> tuple[float, ...]:
+        return (0.0,)
 
     def low_m(self, situation: Situation, p: WorldParameters) -> float:
         """Height of the tool centre point while it pushes."""
@@ -37,7 +36,6 @@ class Push(OneArm, PushKind):
         return p.push_speed_m_s
 
     def reach_heights(self, p: WorldParameters) -> tuple[float, ...]:
-        """The one height at which it pushes."""
         return (p.push_height_m,)
 
     def can_touch(self, situation: Situation, pose: Pose, p: WorldParameters) -> bool:
@@ -50,7 +48,7 @@ class Push(OneArm, PushKind):
         p, world, (hand,) = attempt.parameters, attempt.world, attempt.hands
         situation, tick = attempt.situation, attempt.tick_s
         x, y, yaw = pose
-        opening, low = self.opening(situation, False, p), self.low_m(situation, p)
+        (opening,), low = self.openings(situation, False, p), self.low_m(situation, p)
         shares = profile(p.push_distance_m, self.speed_m_s(p), tick, p.ramp_share)
         ends = (x, y, low), (x + p.push_distance_m, y, low)
         across = line(hand.arm.base, *ends, yaw, shares, tick, self.symmetric, p)

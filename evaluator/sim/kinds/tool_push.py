@@ -21,24 +21,19 @@ class ToolPush(Push):
     symmetric = False
     margin_m = CLEAR_TOOL_M
 
-    def opening(self, situation: Situation, closed: bool, p: WorldParameters) -> float:
-        """As wide as the tool is."""
-        return situation.grips[0].opening_m
+    def openings(self, situation: Situation, closed: bool, p: WorldParameters) -> tuple[float, ...]:
+        return (situation.grips[0].opening_m,)
 
     def low_m(self, situation: Situation, p: WorldParameters) -> float:
-        """So high that the tool keeps clear of the table."""
         return p.tool_clearance_m - lowest_point(situation.grips[0])
 
     def start_height(self, situation: Situation, clearance_m: float) -> float:
-        """So high that the tool keeps clear of the target."""
         return super().start_height(situation, clearance_m) - lowest_point(situation.grips[0])
 
     def speed_m_s(self, p: WorldParameters) -> float:
-        """Slower than with bare fingers."""
         return p.tool_push_speed_m_s
 
     def reach_heights(self, p: WorldParameters) -> tuple[float, ...]:
-        """For any tool."""
         return TOOL_HEIGHTS_M
 
     def take(self, attempt: Attempt, pose: Pose, height_m: float) -> None:

@@ -27,8 +27,7 @@ def test_a_kind_agrees_with_the_schema(kind: Kind) -> None:
     assert kind.criterion().startswith(kind.goal(WORLD))
     assert kind.bare == (kind.role is None)
     assert kind.bare or kind.touching in kind.criterion()
-    left, right = kind.hand_yaws(0.3)
-    assert kind.two_arms == (left != right)
+    assert kind.two_arms == (kind.turns[0] != kind.turns[1])
     assert (kind.reach_shifts(WORLD)[-1] > 0) == (kind.measure == "displacement_m")
     x, y = kind.spawn(np.random.default_rng(0), WORLD)
     assert max(abs(x), abs(y)) < grid.SCENE_HALF_M
