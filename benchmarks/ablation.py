@@ -28,7 +28,8 @@ from baselines.tae.checkpoint import load_checkpoint
 from baselines.train.loop import train
 from benchmarks.results import ROOT, finish, parser
 from evaluator.leaderboard.comparison import compare
-from evaluator.run.scored import ScoredRun, read_run
+from evaluator.run.reading import read_run
+from evaluator.run.run import Run
 from evaluator.statistics import wilson
 from rema_data.loader.release import Release, load
 
@@ -162,7 +163,7 @@ def main() -> int:
     return finish(arguments, "ablation", [table], [], notes, numbers)
 
 
-def against(run: ScoredRun, first: ScoredRun) -> tuple[str, str]:
+def against(run: Run, first: Run) -> tuple[str, str]:
     """The paired difference from the first way's run, with its interval, and the p value."""
     found = compare(run, first)
     low, high = found.interval

@@ -1,4 +1,4 @@
-"""Compares episodes.parquet of runs with other workers, orders and engines, and of one that was killed and resumed.
+"""Compares results.parquet of runs with other workers, orders and engines, and of one that was killed and resumed.
 
     python benchmarks/byte_identity.py                                 # 200 scripted episodes of every task
     python benchmarks/byte_identity.py --tasks grasp --episodes 1000
@@ -53,7 +53,7 @@ def start(task: str, output: Path, episodes: int, workers: int, order: str, engi
 
 def digest(output: Path) -> str:
     """Of the table of a finished run."""
-    return hashlib.sha256((output / "episodes.parquet").read_bytes()).hexdigest()
+    return hashlib.sha256((output / "results.parquet").read_bytes()).hexdigest()
 
 
 def killed(task: str, output: Path, episodes: int, rng: random.Random) -> tuple[str, int]:
@@ -76,7 +76,7 @@ def main() -> int:
     options.add_argument("--episodes", type=int, default=200)
     arguments = options.parse_args()
     rng = random.Random(3)
-    table = Table("task", "run", "sha256 of episodes.parquet", title=f"scripted, {arguments.episodes} episodes a run")
+    table = Table("task", "run", "sha256 of results.parquet", title=f"scripted, {arguments.episodes} episodes a run")
     found: dict[str, dict[str, str]] = {}
     for task in arguments.tasks.split(","):
         with tempfile.TemporaryDirectory(prefix="rema-bytes-") as folder:

@@ -66,7 +66,7 @@ def sample_jobs(folder: Path, summary: dict[str, Any], count: int) -> list[Job]:
     """Some of a run's episodes as situation and action, drawn at random."""
     step = len(TASKS[summary["task"]]) - 1
     scenarios = load_list(summary["task"], summary["split"]).scenarios
-    actions = pq.read_table(folder / "episodes.parquet", columns=[f"step{step}_action"]).column(0).to_pylist()
+    actions = pq.read_table(folder / "results.parquet", columns=[f"step{step}_action"]).column(0).to_pylist()
     acted = [index for index, action in enumerate(actions) if action is not None]
     chosen = sorted(random.Random(3).sample(acted, min(count, len(acted))))
     return [(scenarios[index].last_situation(), actions[index]) for index in chosen]

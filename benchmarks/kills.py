@@ -40,7 +40,7 @@ from rema_data.schema import Situation, StepOutcome
 SIMULATED, ASKED = "simulated", "asked"
 COUNTS = "REMA_KILLS_COUNTS"
 """Folder of two files, one byte for every episode that was begun to be simulated and for every question."""
-FILES = ("episodes.parquet", "actions.bin", "leaves.bin")
+FILES = ("results.parquet", "actions.bin", "leaves.bin")
 VICTIMS = {"judge": "", "worker": "evaluator/engines/", "policy": "evaluator/policy/"}
 """Who is killed, and what in its command line tells its process: the folder of its module."""
 REPEATED = 0.02

@@ -85,7 +85,7 @@ class Measured:
     judge_s : float
         Processor seconds of the judge while it simulates: handing out, collecting and recording.
     sha256 : str
-        Of ``episodes.parquet``.
+        Of ``results.parquet``.
     """
 
     engine: str
@@ -102,7 +102,7 @@ class Measured:
 
 def digest(folder: Path) -> str:
     """Of the table of a finished run."""
-    return hashlib.sha256((folder / "episodes.parquet").read_bytes()).hexdigest()
+    return hashlib.sha256((folder / "results.parquet").read_bytes()).hexdigest()
 
 
 def run(task: str, policy: str, folder: Path, episodes: int, engine: str, workers: int, shard: str = "") -> Measured:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from evaluator.leaderboard import Board
     from evaluator.leaderboard.comparison import Comparison
     from evaluator.replay import ReplayReport
-    from evaluator.run.scored import ScoredRun
+    from evaluator.run.run import Run
     from evaluator.runner import EvaluationResult
     from rema_data.progress import Progress
 
@@ -123,7 +123,7 @@ def evaluate(
     return quick_evaluation(config, Path(quick), progress)
 
 
-def read_run(path: str | Path) -> ScoredRun:
+def read_run(path: str | Path) -> Run:
     """A finished run, from its folder or from its submission file.
 
     Parameters
@@ -143,9 +143,9 @@ def read_run(path: str | Path) -> ScoredRun:
     >>> run.policy, run.tag, run.counts.episodes
     ('random', 'random', 4)
     """
-    from evaluator.run.entry import read_scored
+    from evaluator.run.reading import read_run as read
 
-    return read_scored(Path(path))
+    return read(Path(path))
 
 
 def compare(a: str | Path, b: str | Path) -> Comparison:

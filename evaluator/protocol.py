@@ -12,7 +12,7 @@ from rema_data import grid
 from rema_data.errors import InputError
 from rema_data.schema import TASKS, check_task
 
-__all__ = ["ACTION_FLIP_LIMIT", "FAULT_LIMIT", "PROTOCOLS", "protocol", "protocol_hash"]
+__all__ = ["ACTION_FLIP_LIMIT", "FAULT_LIMIT", "PROTOCOLS", "acting_steps", "protocol", "protocol_hash"]
 
 FAULT_LIMIT = 0.10
 """Largest share of a policy's answers that may be faults: above it a run ends as failed."""
@@ -31,6 +31,12 @@ PROTOCOLS: dict[str, str] = {
     ),
 }
 """Protocol names, and what they mean."""
+
+
+def acting_steps(task: str, protocol: str) -> tuple[int, ...]:
+    """Steps in which the policy acts, which are those that are scored: the last one (conditional), or all."""
+    steps = tuple(range(len(TASKS[task])))
+    return steps[-1:] if protocol == "conditional" else steps
 
 
 def protocol(task: str, name: str) -> dict[str, Any]:
@@ -60,7 +66,7 @@ def protocol(task: str, name: str) -> dict[str, Any]:
             {"primitive": str(kind.primitive), "embodiment": str(kind.embodiment), "success": KINDS[kind].criterion()}
             for kind in kinds
         ],
-        "scored_steps": [len(kinds) - 1] if name == "conditional" else list(range(len(kinds))),
+        "scored_steps": list(acting_steps(task, name)),
         "policy_errors": "An answer that is no valid action, and no answer, are failures: always in the denominator.",
         "infrastructure_errors": "Not eligible: neither success nor failure; counted, and both bounds are printed.",
         "grid": {

@@ -18,7 +18,7 @@ __all__ = ["print_board"]
 _STYLES = {"published": "dim", "privileged": "magenta", "random": "blue"}
 _IN_TITLE = ("task", "protocol")
 _NUMBERS = ("rank", "k/n", "rate %", "z")
-_GIVEN_UP = ("failures", "walls", "errors", "funnel %", "z", "end-to-end %", "rank", "tag", "ties")
+_GIVEN_UP = ("failures", "sandbox", "errors", "funnel %", "z", "end-to-end %", "rank", "tag", "ties")
 """Columns that a narrow terminal does without, the first one first."""
 _FOLDED = {"policy": 24, "failures": 18, "errors": 14}
 """Columns that may be folded, to this width."""

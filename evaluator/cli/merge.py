@@ -14,10 +14,10 @@ __all__ = ["merge"]
 @click.option("--output", required=True, type=click.Path(path_type=Path), help="Folder of the whole run.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary object alone.")
 def merge(parts: tuple[Path, ...], output: Path, as_json: bool) -> None:
-    """Put PARTS together, the run folders of all shards of one evaluation (`rema evaluate --shard I/N`).
+    """Merge PARTS, the run folders of all shards of one evaluation (`rema evaluate --shard I/N`).
 
     They must be of the same policy, protocol, scenario list and simulator, without a gap and without an overlap. The
-    whole run has the same episodes.parquet, byte for byte, as one that was never divided.
+    whole run has the same results.parquet, byte for byte, as one that was never divided.
     """
     # Imported here, so that a mistyped option is answered at once.
     from evaluator.cli.result import print_result

@@ -53,7 +53,7 @@ def replay(
     """Check RUN, the folder of a `rema evaluate`, without its policy; exit code 6 where something is wrong.
 
     Every sealed byte is compared with its seal, the statistics are counted again, and the recorded actions are
-    simulated again. With another simulator than the run's, the share of flips is printed and is no error.
+    simulated again. With another simulator than the run's, the share of flips is printed and is not an error.
     """
     from evaluator.api import replay as play
     from evaluator.cli.progress import StderrProgress

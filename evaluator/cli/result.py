@@ -50,7 +50,7 @@ def _facts(summary: dict[str, Any]) -> Table:
         bounds = ""
         if summary.get("success_rate_bounds"):
             low, high = (100 * bound for bound in summary["success_rate_bounds"])
-            bounds = f"; the rate is in {low:.1f} .. {high:.1f} % whatever they were"
+            bounds = f"; the rate is in {low:.1f} .. {high:.1f} %"
         table.add_row("infra errors", Text(f"{summary['infra_errors']:,} (not counted){bounds}", style="red"))
     if summary.get("unfinished"):
         table.add_row("not finished", Text(f"{summary['unfinished']:,} episodes: this run is partial", style="red"))
@@ -59,7 +59,7 @@ def _facts(summary: dict[str, Any]) -> Table:
     if summary.get("audit"):
         table.add_row("repeated", audit_text(summary["audit"]))
     if summary.get("isolation"):
-        table.add_row("walls", Text(f"isolation {summary['isolation']}"))
+        table.add_row("sandbox", Text(summary["isolation"]))
     if summary["protocol"] == "end-to-end":
         for step in summary.get("funnel", ()):
             passed = format_rate(step["succeeded"], step["attempted"])
@@ -77,7 +77,7 @@ def _look(look: dict[str, Any]) -> str:
     against = f" against {look['against']}" if look["verdict"] == "undecided" else f" {look['against']}"
     return (
         f"{what}{against} on {look['pairs']:,} scenarios: the difference is in {low:+.1f} .. {high:+.1f} points "
-        "however often one looks; no rank"
+        "at every look; no rank"
     )
 
 
@@ -87,7 +87,8 @@ def audit_text(audit: dict[str, Any]) -> Text:
     for what in ("action", "outcome"):
         count, flips = audit[f"{what}s"], audit[f"{what}_flips"]
         bound = 100 * audit[f"{what}_flips_ci95"][1]
-        parts.append(f"{flips:,} of {count:,} {what}s came out otherwise (at most {bound:.1f} %)")
+        again = "asked for again" if what == "action" else "simulated again"
+        parts.append(f"{count:,} {what}s {again}: {flips:,} differed (95 % upper bound {bound:.1f} %)")
     if audit["lost"]:
         parts.append(f"{audit['lost']:,} could not be repeated")
     flipped = audit["action_flips"] or audit["outcome_flips"]

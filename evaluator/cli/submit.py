@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from evaluator.leaderboard.submission import Check
+    from evaluator.leaderboard.eligibility import Check
 
 __all__ = ["submit"]
 
@@ -37,7 +37,7 @@ def submit(run: Path, name: str, link: str, output: Path | None, only_check: boo
     entry = make_entry(run, name, link)
     path = None
     if not only_check:
-        path = output or Path(f"{entry.run.policy}-{entry.run.task}-{entry.run.protocol}.json")
+        path = output or Path(f"{entry.policy}-{entry.task}-{entry.protocol}.json")
         content = encode(entry)
         if path.exists() and path.read_bytes() != content:
             raise InputError(f"{path} is there already", hint="choose another file with --output", path=str(path))
@@ -47,8 +47,8 @@ def submit(run: Path, name: str, link: str, output: Path | None, only_check: boo
         return
     from evaluator.statistics import format_rate
 
-    counts = entry.run.counts
-    click.echo(f"{entry.run.policy}, {entry.run.task} ({entry.run.protocol}): {len(checks)} checks passed")
+    counts = entry.counts
+    click.echo(f"{entry.policy}, {entry.task} ({entry.protocol}): {len(checks)} checks passed")
     click.echo(f"success rate {format_rate(counts.successes, counts.eligible)}, {counts.successes}/{counts.eligible}")
     if path is not None:
         click.echo(f"entry: {path} ({path.stat().st_size:,} bytes)")

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from evaluator.leaderboard.ranking import LEVEL, Pair, rank_runs
 from evaluator.leaderboard.row import PUBLISHED, Row, published_rows, row_of
-from evaluator.run.entry import read_scored
-from evaluator.run.scored import ScoredRun
+from evaluator.run.reading import read_run
+from evaluator.run.run import Run
 from evaluator.sim.bullet import decisive
 from evaluator.statistics import detectable_difference
 from rema_data.errors import RemaError
@@ -50,14 +50,14 @@ def leaderboard(sources: Sequence[Path], published: bool = True) -> Board:
     Parameters
     ----------
     sources : sequence of Path
-        Run folders with a ``summary.json``, and entry files. A run that is there as an entry as well is shown once.
+        Finished run folders, and entry files. A run that is there as an entry as well is shown once.
     published : bool
         Add the paper's rows: of the tasks that the sources are about, or of all where there is no source.
 
     Returns
     -------
     Board
-        A source that is unfinished or damaged is left out, and said to be.
+        A source that is not finished, or does not hold what was sealed, is left out and named.
 
     Raises
     ------
@@ -68,12 +68,12 @@ def leaderboard(sources: Sequence[Path], published: bool = True) -> Board:
     runs = _once(read)
     standings, pairs = rank_runs(runs)
     whole = {
-        _policy(run): run.counts.successes / run.counts.eligible
+        _policy(run): run.counts.rate
         for run, standing in zip(runs, standings, strict=True)
-        if run.protocol == "end-to-end" and run.counts.eligible and not standing.unranked
+        if run.end_to_end and not standing.unranked
     }
     rows = [
-        row_of(run, **asdict(standing), end_to_end=None if run.protocol == "end-to-end" else whole.get(_policy(run)))
+        row_of(run, **asdict(standing), end_to_end=None if run.end_to_end else whole.get(_policy(run)))
         for run, standing in zip(runs, standings, strict=True)
     ]
     if published:
@@ -84,12 +84,12 @@ def leaderboard(sources: Sequence[Path], published: bool = True) -> Board:
     return Board(tuple(rows), (*left_out, *_remarks(rows, pairs)), refused)
 
 
-def _read(sources: Sequence[Path]) -> tuple[list[ScoredRun], tuple[RemaError, ...]]:
+def _read(sources: Sequence[Path]) -> tuple[list[Run], tuple[RemaError, ...]]:
     """The runs that can be read, and why the others cannot."""
     runs, refused = [], []
     for source in sources:
         try:
-            runs.append(read_scored(source))
+            runs.append(read_run(source))
         except RemaError as error:
             refused.append(error)
     if refused and not runs:
@@ -102,20 +102,27 @@ def find_runs(folder: Path) -> list[Path]:
     return sorted(path.parent for path in folder.glob("*/summary.json"))
 
 
-def _once(runs: Sequence[ScoredRun]) -> list[ScoredRun]:
+def _once(runs: Sequence[Run]) -> list[Run]:
     """Runs without those that say what an earlier one said; entries come first, as they carry a name and a link."""
-    kept: dict[tuple[object, ...], ScoredRun] = {}
+    kept: dict[tuple[object, ...], Run] = {}
     for number, run in enumerate(sorted(runs, key=lambda run: run.kind != "entry")):
         same: tuple[object, ...] = (number,)
-        if run.outcomes is not None and run.marks.policy_digest:
+        if run.provenance.policy_digest:
             bits = (run.outcomes.success.tobytes(), run.outcomes.eligible.tobytes())
-            same = (run.task, run.protocol, run.split, run.marks.policy_digest, run.marks.scenarios_hash, *bits)
+            same = (
+                run.task,
+                run.protocol,
+                run.split,
+                run.provenance.policy_digest,
+                run.provenance.scenarios_hash,
+                *bits,
+            )
         kept.setdefault(same, run)
     return list(kept.values())
 
 
-def _policy(run: ScoredRun) -> tuple[str, str]:
-    return run.task, run.marks.policy_digest or str(run.source)
+def _policy(run: Run) -> tuple[str, str]:
+    return run.task, run.provenance.policy_digest or str(run.source)
 
 
 def _place(row: Row) -> tuple[object, ...]:

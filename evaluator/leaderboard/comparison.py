@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluator.leaderboard.eligibility import installed_list
-from evaluator.run.scored import Outcomes, ScoredRun
-from evaluator.scenarios.strata import Targets, strata, targets_of_list, targets_of_run
+from evaluator.run.run import Run
+from evaluator.scenarios.strata import Targets, strata, targets_of_list
 from evaluator.sim.bullet import decisive
 from evaluator.statistics import (
     PairTable,
@@ -22,12 +22,12 @@ from evaluator.statistics import (
     paired_interval,
     rate_interval,
 )
-from rema_data.errors import InputError, MissingFileError
+from rema_data.errors import InputError
 
-__all__ = ["Comparison", "StratumRow", "compare", "paired_outcomes"]
+__all__ = ["Comparison", "StratumRow", "compare"]
 
 _MUST_AGREE = ("task", "split", "protocol")
-_MARKS = ("protocol_hash", "scenarios_hash")
+_HASHES = ("protocol_hash", "scenarios_hash")
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class Comparison:
 
     Attributes
     ----------
-    a, b : ScoredRun
+    a, b : Run
     table : PairTable
     interval : (float, float)
         95 % of A's rate minus B's (Newcombe, paired).
@@ -72,8 +72,8 @@ class Comparison:
         What limits the comparison.
     """
 
-    a: ScoredRun
-    b: ScoredRun
+    a: Run
+    b: Run
     table: PairTable
     interval: tuple[float, float]
     p: float
@@ -104,12 +104,12 @@ class Comparison:
         }
 
 
-def _side(run: ScoredRun, successes: int, n: int) -> dict[str, Any]:
+def _side(run: Run, successes: int, n: int) -> dict[str, Any]:
     return {
         "policy": run.policy,
         "tag": run.tag,
         "source": str(run.source),
-        "policy_digest": run.marks.policy_digest,
+        "policy_digest": run.provenance.policy_digest,
         "successes": successes,
         "rate": successes / n,
         "ci95": list(rate_interval(successes, n)),
@@ -128,24 +128,7 @@ def _numbers(table: PairTable, interval: tuple[float, float]) -> dict[str, Any]:
     }
 
 
-def paired_outcomes(run: ScoredRun) -> Outcomes:
-    """The outcomes of a run.
-
-    Raises
-    ------
-    MissingFileError
-        Only its summary is there.
-    """
-    if run.outcomes is None:
-        raise MissingFileError(
-            f"{run.source} has no episodes.parquet: its outcomes by scenario are not known",
-            hint="evaluate the policy again: the same command writes it from the records",
-            path=str(run.source / "episodes.parquet"),
-        )
-    return run.outcomes
-
-
-def compare(a: ScoredRun, b: ScoredRun) -> Comparison:
+def compare(a: Run, b: Run) -> Comparison:
     """Compare two runs, scenario by scenario.
 
     Runs of different length are compared on the scenarios that both have; what one of them lost to the infrastructure
@@ -156,18 +139,15 @@ def compare(a: ScoredRun, b: ScoredRun) -> Comparison:
     InputError
         They are not of one task, split, protocol and scenario list: the message names the field and both values. Or
         they share no measured scenario.
-    MissingFileError
-        A run has no ``episodes.parquet``.
     """
     _check_comparable(a, b)
-    ours, theirs = paired_outcomes(a), paired_outcomes(b)
+    ours, theirs = a.outcomes, b.outcomes
     n = min(len(ours.success), len(theirs.success))
     counted = ours.eligible[:n] & theirs.eligible[:n]
     left, right = ours.success[:n], theirs.success[:n]
     table = pair_table(left, right, counted)
     targets, excuse = _targets(a, b)
-    shared = ours.played[:n] & theirs.played[:n]
-    remarks = _remarks(a, b, int(shared.sum()), int((shared & ~counted).sum()))
+    remarks = _remarks(a, b, n, int((~counted).sum()))
     return Comparison(
         a=a,
         b=b,
@@ -182,7 +162,7 @@ def compare(a: ScoredRun, b: ScoredRun) -> Comparison:
     )
 
 
-def _check_comparable(a: ScoredRun, b: ScoredRun) -> None:
+def _check_comparable(a: Run, b: Run) -> None:
     """Refuse runs that do not compare.
 
     Raises
@@ -191,7 +171,7 @@ def _check_comparable(a: ScoredRun, b: ScoredRun) -> None:
         They are not of one task, split, protocol and scenario list: the message names the field and both values.
     """
     pairs = [(field, getattr(a, field), getattr(b, field)) for field in _MUST_AGREE]
-    pairs += [(field, getattr(a.marks, field), getattr(b.marks, field)) for field in _MARKS]
+    pairs += [(field, getattr(a.provenance, field), getattr(b.provenance, field)) for field in _HASHES]
     for field, first, second in pairs:
         if first != second:
             raise InputError(
@@ -204,9 +184,9 @@ def _check_comparable(a: ScoredRun, b: ScoredRun) -> None:
             )
 
 
-def _remarks(a: ScoredRun, b: ScoredRun, n: int, lost: int) -> list[str]:
+def _remarks(a: Run, b: Run, n: int, lost: int) -> list[str]:
     found = []
-    if decisive(a.marks.fingerprint) != decisive(b.marks.fingerprint):
+    if decisive(a.provenance.fingerprint) != decisive(b.provenance.fingerprint):
         found.append(
             "ANOTHER SIMULATOR: the runs come from different builds or constants of the simulator "
             f"({_differences(a, b)}). A part of the difference may be the simulator's: evaluate one of them again."
@@ -234,19 +214,19 @@ def _remarks(a: ScoredRun, b: ScoredRun, n: int, lost: int) -> list[str]:
     return found
 
 
-def _differences(a: ScoredRun, b: ScoredRun) -> str:
-    first, second = dict(a.marks.fingerprint or {}), dict(b.marks.fingerprint or {})
+def _differences(a: Run, b: Run) -> str:
+    first, second = a.provenance.fingerprint, b.provenance.fingerprint
     names = [name for name in sorted({*first, *second}) if first.get(name) != second.get(name)]
     return ", ".join(f"{name} {str(first.get(name))[:12]} and {str(second.get(name))[:12]}" for name in names)
 
 
-def _targets(a: ScoredRun, b: ScoredRun) -> tuple[Targets | None, str]:
+def _targets(a: Run, b: Run) -> tuple[Targets | None, str]:
     """The objects of the scenarios, from a run folder or the installed list; or why they are not known."""
     for run in (a, b):
-        if run.kind == "run" and paired_outcomes(run).played.all():
-            return targets_of_run(run.source), ""
+        if run.kind == "run":
+            return run.targets, ""
     known = installed_list(a.task, a.split)
-    if known is None or known[0] != a.marks.scenarios_hash:
+    if known is None or known[0] != a.provenance.scenarios_hash:
         return None, "No breakdown: this installation does not have the scenario list of these entries."
     return targets_of_list(a.task, a.split), ""
 

@@ -6,31 +6,33 @@ from dataclasses import dataclass
 from typing import Any
 
 from evaluator.protocol import ACTION_FLIP_LIMIT, protocol_hash
-from evaluator.run.scored import ScoredRun
+from evaluator.run.run import Run
 from evaluator.scenarios import SPLITS, VERSION, manifest_path
 from rema_data.manifests import read_manifest
 
-__all__ = ["Obstacle", "infra_limit", "installed_list", "obstacles"]
+__all__ = ["Check", "infra_limit", "installed_list", "obstacles", "rank_checks"]
 
 
 @dataclass(frozen=True, slots=True)
-class Obstacle:
-    """Why a run has no rank.
+class Check:
+    """One condition of a rank, or of a submission.
 
     Attributes
     ----------
     what : str
         The field.
-    wanted, found : str
+    passed : bool
+    required, found : str
         What it must be, and is.
     reason : str
-        Both in a few words, for the table.
+        Why a run that does not meet it has no rank, in a few words for the table.
     """
 
     what: str
-    wanted: str
+    passed: bool
+    required: str
     found: str
-    reason: str
+    reason: str = ""
 
 
 def installed_list(task: str, split: str) -> tuple[str, int] | None:
@@ -59,42 +61,50 @@ def infra_limit() -> float:
     return INFRA_LIMIT
 
 
-def obstacles(run: ScoredRun) -> list[Obstacle]:
-    """Everything that keeps a run from being ranked, the weightiest first; empty for a run that is."""
-    found = []
-    counts, test = run.counts, SPLITS[0]
-    if run.split != test:
-        found.append(Obstacle("split", test, run.split, f"{run.split} split"))
-    if run.stopped_early:
-        found.append(Obstacle("stopped_early", "false", "true", "stopped early"))
+def rank_checks(run: Run) -> list[Check]:
+    """Every condition of a rank, the weightiest first, and whether a run meets it."""
+    counts, test, audit, hashes = run.counts, SPLITS[0], run.audit, run.provenance
     sha256, count = installed_list(run.task, test) or ("", 0)
-    if not sha256 or run.marks.scenarios_hash != sha256:
-        found.append(Obstacle("scenarios_hash", sha256, run.marks.scenarios_hash, "another scenario list"))
-    if counts.episodes != count:
-        found.append(
-            Obstacle("episodes", str(count), str(counts.episodes), f"{counts.episodes:,} of {count:,} scenarios")
-        )
-    wanted = protocol_hash(run.task, run.protocol)
-    if run.marks.protocol_hash != wanted:
-        found.append(Obstacle("protocol_hash", wanted, run.marks.protocol_hash, "another protocol version"))
-    if run.unfinished:
-        found.append(Obstacle("unfinished", "0", str(run.unfinished), f"{run.unfinished:,} episodes not finished"))
-    if counts.infra_errors > infra_limit() * counts.episodes:
-        limit = f"at most {int(infra_limit() * counts.episodes)}"
-        reason = f"{counts.infra_errors:,} episodes lost to the infrastructure"
-        found.append(Obstacle("infra_errors", limit, str(counts.infra_errors), reason))
-    if run.nondeterministic:
-        reason = "steps with two outcomes"
-        found.append(Obstacle("nondeterministic", "0", str(run.nondeterministic), reason))
-    if run.audit is not None and run.audit.outcome_flips:
-        flips = f"{run.audit.outcome_flips} of {run.audit.outcomes}"
-        found.append(Obstacle("audit", "0 outcome flips", flips, f"{flips} repeated outcomes flipped"))
-    if run.audit is not None and run.audit.action_flips > ACTION_FLIP_LIMIT * run.audit.actions:
-        flips = f"{run.audit.action_flips} of {run.audit.actions}"
-        limit = f"at most {ACTION_FLIP_LIMIT:.0%} action flips"
-        found.append(Obstacle("actions", limit, flips, f"{flips} repeated questions answered otherwise"))
-    if run.audit is None and not run.stopped_early:
-        found.append(Obstacle("audit", "repeats of a share of the run", "none", "never repeated"))
-    if run.outcomes is None:
-        found.append(Obstacle("episodes.parquet", "there", "missing", "no outcomes by scenario"))
-    return found
+    same_list = bool(sha256) and hashes.scenarios_hash == sha256
+    ours, limit = protocol_hash(run.task, run.protocol), int(infra_limit() * counts.episodes)
+    repeated, outcome_flips, flips, limit_flips = run.stopped_early, 0, 0, 0.0
+    if audit is not None:
+        repeated, outcome_flips = True, audit.outcome_flips
+        flips, limit_flips = audit.action_flips, ACTION_FLIP_LIMIT * audit.actions
+    found = "no repeats" if audit is None else f"{outcome_flips} of {audit.outcomes} repeated outcomes flipped"
+    answers = "no repeats" if audit is None else f"{flips} of {audit.actions} repeated answers differed"
+    return [
+        Check("split", run.split == test, test, run.split, f"{run.split} split"),
+        Check("stopped_early", not run.stopped_early, "false", str(run.stopped_early).lower(), "stopped early"),
+        Check("scenarios_hash", same_list, sha256, hashes.scenarios_hash, "another scenario list"),
+        Check(
+            "episodes",
+            counts.episodes == count,
+            str(count),
+            str(counts.episodes),
+            f"{counts.episodes:,} of {count:,} scenarios",
+        ),
+        Check("protocol_hash", hashes.protocol_hash == ours, ours, hashes.protocol_hash, "another protocol version"),
+        Check("unfinished", not run.unfinished, "0", str(run.unfinished), f"{run.unfinished:,} episodes not finished"),
+        Check(
+            "infra_errors",
+            counts.infra_errors <= limit,
+            f"at most {limit}",
+            str(counts.infra_errors),
+            f"{counts.infra_errors:,} episodes lost to the infrastructure",
+        ),
+        Check("nondeterministic", not run.nondeterministic, "0", str(run.nondeterministic), "steps with two outcomes"),
+        Check(
+            "audit",
+            repeated and not outcome_flips,
+            "repeats, and no outcome that flipped",
+            found,
+            found if repeated else "never repeated",
+        ),
+        Check("actions", flips <= limit_flips, f"at most {ACTION_FLIP_LIMIT:.0%} action flips", answers, answers),
+    ]
+
+
+def obstacles(run: Run) -> list[Check]:
+    """The conditions that keep a run from being ranked, the weightiest first; empty for a run that is."""
+    return [check for check in rank_checks(run) if not check.passed]

@@ -31,7 +31,7 @@ COLUMNS = (
     "z",
     "errors",
     "failures",
-    "walls",
+    "sandbox",
 )
 """Titles of ``cells``."""
 _IN_TITLE = ("task", "protocol")

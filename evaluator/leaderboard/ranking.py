@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 from evaluator.leaderboard.eligibility import obstacles
-from evaluator.run.scored import Outcomes, ScoredRun
+from evaluator.run.run import Outcomes, Run
 from evaluator.statistics import PairTable, holm, midp_mcnemar, pair_table, tie_letters
 
 __all__ = ["LEVEL", "Pair", "Standing", "rank_runs"]
@@ -53,7 +53,7 @@ class Pair:
         return self.first if self.table.only_a > self.table.only_b else self.second
 
 
-def rank_runs(runs: Sequence[ScoredRun]) -> tuple[list[Standing], list[Pair]]:
+def rank_runs(runs: Sequence[Run]) -> tuple[list[Standing], list[Pair]]:
     """Standings of ``runs``, in their order, and the pairs that were tested.
 
     The family of the adjustment is every pair of ranked runs of one task and protocol, over all tasks and protocols
@@ -61,7 +61,7 @@ def rank_runs(runs: Sequence[ScoredRun]) -> tuple[list[Standing], list[Pair]]:
     as well: where that changes who is better, it has no rank.
     """
     reasons = [next((obstacle.reason for obstacle in obstacles(run)), "") for run in runs]
-    outcomes = {n: run.outcomes for n, run in enumerate(runs) if not reasons[n] and run.outcomes is not None}
+    outcomes = {n: run.outcomes for n, run in enumerate(runs) if not reasons[n]}
     for n in _undecided(runs, outcomes):
         reasons[n] = "its rank depends on episodes lost to the infrastructure"
         del outcomes[n]
@@ -74,19 +74,19 @@ def rank_runs(runs: Sequence[ScoredRun]) -> tuple[list[Standing], list[Pair]]:
     return standings, pairs
 
 
-def _undecided(runs: Sequence[ScoredRun], outcomes: dict[int, Outcomes]) -> list[int]:
+def _undecided(runs: Sequence[Run], outcomes: dict[int, Outcomes]) -> list[int]:
     """Runs whose lost episodes could change who is better."""
     lossy = [n for n in outcomes if runs[n].counts.infra_errors]
     return [n for n in lossy if len({_decisions(_test(runs, filled)) for filled in _fillings(outcomes, n)}) > 1]
 
 
-def _beaten_by(run: int, runs: Sequence[ScoredRun], pairs: Sequence[Pair]) -> int:
+def _beaten_by(run: int, runs: Sequence[Run], pairs: Sequence[Pair]) -> int:
     """Number of runs without privilege that are better than ``run`` beyond chance."""
     winners = [pair.better for pair in pairs if run in (pair.first, pair.second)]
     return sum(runs[winner].tag != "privileged" for winner in winners if winner not in (None, run))
 
 
-def _test(runs: Sequence[ScoredRun], outcomes: dict[int, Outcomes]) -> list[Pair]:
+def _test(runs: Sequence[Run], outcomes: dict[int, Outcomes]) -> list[Pair]:
     tables = []
     for first, second in combinations(sorted(outcomes), 2):
         if (runs[first].task, runs[first].protocol) == (runs[second].task, runs[second].protocol):
@@ -101,8 +101,9 @@ def _test(runs: Sequence[ScoredRun], outcomes: dict[int, Outcomes]) -> list[Pair
 def _fillings(outcomes: dict[int, Outcomes], run: int) -> list[dict[int, Outcomes]]:
     """The outcomes as measured, and with the lost episodes of a run failed or solved."""
     found, lost = outcomes[run], ~outcomes[run].eligible
-    fillings = [found, replace(found, eligible=found.played)]
-    fillings.append(replace(found, eligible=found.played, success=found.success | lost))
+    everything = found.eligible | lost
+    fillings = [found, replace(found, eligible=everything)]
+    fillings.append(replace(found, eligible=everything, success=found.success | lost))
     return [{**outcomes, run: filled} for filled in fillings]
 
 
@@ -110,12 +111,12 @@ def _decisions(pairs: Sequence[Pair]) -> frozenset[tuple[int, int, int | None]]:
     return frozenset((pair.first, pair.second, pair.better) for pair in pairs)
 
 
-def _letters(runs: Sequence[ScoredRun], ranked: Sequence[int], pairs: Sequence[Pair]) -> dict[int, str]:
+def _letters(runs: Sequence[Run], ranked: Sequence[int], pairs: Sequence[Pair]) -> dict[int, str]:
     """Letters within each task and protocol that has at least two ranked runs, best first."""
     letters: dict[int, str] = {}
     for group in dict.fromkeys((runs[n].task, runs[n].protocol) for n in ranked):
         members = [n for n in ranked if (runs[n].task, runs[n].protocol) == group]
-        members.sort(key=lambda n: -runs[n].counts.successes / max(1, runs[n].counts.eligible))
+        members.sort(key=lambda n: -(runs[n].counts.rate or 0.0))
         place = {n: position for position, n in enumerate(members)}
         different = {
             (place[pair.first], place[pair.second]) for pair in pairs if pair.first in place and pair.better is not None

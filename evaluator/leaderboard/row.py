@@ -1,4 +1,4 @@
-"""Rows of the leaderboard: a scored run, or a published rate."""
+"""Rows of the leaderboard: a run, or a published rate."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from typing import Any
 
 from evaluator.leaderboard.published import published_rate, published_table
 from evaluator.policy.named import KINDS
-from evaluator.run.scored import Audit, FunnelStep, ScoredRun
-from evaluator.statistics import error_bounds, rate_interval, z_against_published
+from evaluator.run.counts import FunnelStep
+from evaluator.run.run import Run
+from evaluator.run.summary import Audit
+from evaluator.statistics import rate_interval, z_against_published
 
 __all__ = ["PUBLISHED", "TAGS", "Row", "published_rows", "row_of"]
 
@@ -46,7 +48,7 @@ class Row:
     funnel : tuple of FunnelStep
         Of the steps in which the policy acts.
     audit : Audit or None
-        What was repeated, and came out otherwise.
+        What was repeated, and how much of it differed.
     rank : int or None
         1 plus the number of policies that are better beyond chance; None without a rank.
     ties : str
@@ -58,12 +60,12 @@ class Row:
     z : float or None
         Distance to the published rate of the same policy and task, in standard errors.
     policy_digest, protocol_hash, scenarios_hash, fingerprint : str
-        What was scored, by what rules, on what, and in which simulator. Empty if published.
+        What was evaluated, by which rules, on what, and in which simulator. Empty if published.
     source : str
         The run folder or the entry.
     link : str
     isolation : str
-        Level of the walls around the policy; empty where it was not noted, and if published.
+        Isolation level of the policy's sandbox; empty where it was not recorded, and if published.
     """
 
     policy: str
@@ -95,10 +97,10 @@ class Row:
     isolation: str = ""
 
 
-def row_of(run: ScoredRun, **standing: Any) -> Row:
+def row_of(run: Run, **standing: Any) -> Row:
     """The row of a run; ``standing`` are the fields that depend on the other rows."""
-    counts, marks, z = run.counts, run.marks, None
-    # A stranger's "joint.py" is not the paper's joint.
+    counts, provenance, z = run.counts, run.provenance, None
+    # A submitted "joint.py" is not the paper's joint.
     comparable = run.protocol == "conditional" and run.tag != "submitted"
     known = published_rate(run.policy, run.task) if comparable else None
     if known is not None and counts.eligible:
@@ -111,19 +113,19 @@ def row_of(run: ScoredRun, **standing: Any) -> Row:
         split=run.split,
         successes=counts.successes,
         episodes=counts.eligible,
-        rate=counts.successes / counts.eligible if counts.eligible else None,
-        ci95=rate_interval(counts.successes, counts.eligible) if counts.eligible else None,
-        bounds=error_bounds(counts.successes, counts.eligible, counts.infra_errors) if counts.infra_errors else None,
+        rate=counts.rate,
+        ci95=counts.interval,
+        bounds=counts.bounds if counts.infra_errors else None,
         policy_errors=counts.policy_errors,
         infra_errors=counts.infra_errors,
         failures=counts.failures,
         funnel=counts.funnel,
         audit=run.audit,
         z=z,
-        policy_digest=marks.policy_digest,
-        protocol_hash=marks.protocol_hash,
-        scenarios_hash=marks.scenarios_hash,
-        fingerprint=json.dumps(marks.fingerprint, sort_keys=True) if marks.fingerprint else "",
+        policy_digest=provenance.policy_digest,
+        protocol_hash=provenance.protocol_hash,
+        scenarios_hash=provenance.scenarios_hash,
+        fingerprint=json.dumps(dict(provenance.fingerprint), sort_keys=True) if provenance.fingerprint else "",
         source=str(run.source),
         link=run.link,
         isolation=run.isolation,

@@ -12,24 +12,20 @@ import numpy as np
 
 from evaluator.engines import InfraError, check_engine
 from evaluator.engines.child import call_in_child
-from evaluator.replay.checks import (
-    invalid_actions,
-    scenarios_of,
-    shortened,
-    statistics_findings,
-    world_differences,
-)
+from evaluator.replay.checks import invalid_actions, scenarios_of, world_differences
 from evaluator.replay.report import ReplayReport
 from evaluator.rollout.simulate import pending_jobs, simulate_jobs
 from evaluator.run.actions import recorded_actions
-from evaluator.run.check import Evidence, Finding, read_evidence, row_name
+from evaluator.run.check import Finding, row_name, shortened
 from evaluator.run.counts import unfinished
 from evaluator.run.header import RUN_FILE
 from evaluator.run.plan import Plan
+from evaluator.run.reading import read_run
 from evaluator.run.records import Records
-from evaluator.run.seal import EPISODES_FILE
+from evaluator.run.run import Run
+from evaluator.run.seal import SUMMARY_FILE
 from evaluator.run.signature import SIGNATURE_FILE, is_signed_by, key_name
-from evaluator.run.tables import episodes_table, scenario_columns
+from evaluator.run.tables import results_table, scenario_columns
 from evaluator.runner import Backend, default_backend
 from evaluator.scenarios import ScenarioList
 from evaluator.statistics import clopper_pearson
@@ -61,8 +57,8 @@ def replay(
     folder : Path
         A run folder; nothing in it is changed.
     fraction : float
-        Share of the measured episodes that are simulated again, 0 to 1. They are drawn at random, so that nobody can
-        know beforehand which rows will be looked at.
+        Share of the measured episodes that are simulated again, 0 to 1. They are drawn at random, so that no one can
+        know before which rows will be checked.
     seed : int, optional
         Draws the same episodes as an earlier replay; by default they are new ones each time.
     engine, workers, address
@@ -76,11 +72,11 @@ def replay(
     Raises
     ------
     InputError
-        The fraction is none, or the engine takes no address.
+        The fraction is not a share, or the engine takes no address.
     MissingFileError
         There is no run, or it is not finished.
     IntegrityError
-        ``run.json`` is none.
+        ``run.json`` cannot be read.
     RunMismatchError
         The run was played on a scenario list that is not the one here.
     InfrastructureError
@@ -89,10 +85,10 @@ def replay(
     if not 0 <= fraction <= 1:
         raise InputError(f"a fraction of {fraction}", hint="give a share from 0 to 1, such as 0.02")
     check_engine(engine, workers, address)
-    evidence = read_evidence(folder)
-    job = _Replay(evidence, fraction, seed, progress or Silent(), backend or default_backend())
+    run = read_run(folder, with_findings=True)
+    job = _Replay(run, fraction, seed, progress or Silent(), backend or default_backend())
     job.check_signature(public_key)
-    if evidence.trusted:
+    if not any(finding.file == RUN_FILE for finding in run.findings):
         job.check(engine, workers, address)
     return job.report(public_key)
 
@@ -100,13 +96,10 @@ def replay(
 class _Replay:
     """A replay under way: collects findings and counts."""
 
-    def __init__(
-        self, evidence: Evidence, fraction: float, seed: int | None, progress: Progress, backend: Backend
-    ) -> None:
-        self.evidence, self.fraction, self.seed = evidence, fraction, seed
+    def __init__(self, run: Run, fraction: float, seed: int | None, progress: Progress, backend: Backend) -> None:
+        self.run, self.fraction, self.seed = run, fraction, seed
         self.progress, self.backend = progress, backend
-        self.identity: dict[str, Any] = evidence.header["identity"]
-        self.findings = list(evidence.findings)
+        self.findings = list(run.findings)
         self.signature: bytes | None = None
         self.differences: dict[str, tuple[Any, Any]] = {}
         self.drawn: int | None = None
@@ -114,42 +107,41 @@ class _Replay:
         self.replayed = self.lost = self.different = self.flips = 0
 
     def check_signature(self, key: Ed25519PublicKey | None) -> None:
-        path = self.evidence.folder / SIGNATURE_FILE
+        path = self.run.source / SIGNATURE_FILE
         self.signature = path.read_bytes() if path.is_file() else None
         if key is None:
             return
         if self.signature is None:
             self.findings.append(Finding(SIGNATURE_FILE, "", "is missing: the run is not signed"))
-        elif not is_signed_by(key, self.signature, self.evidence.payload):
+        elif not is_signed_by(key, self.signature, self.run.folder.payload):
             detail = f"was not made over this {RUN_FILE} with the key {key_name(key)[:16]}"
             self.findings.append(Finding(SIGNATURE_FILE, "", detail))
 
     def check(self, engine: str, workers: int | None, address: str | None) -> None:
         """Statistics and rows, as far as they can be read."""
-        evidence, table, backend = self.evidence, self.evidence.table, self.backend
-        task, protocol = self.identity["task"], self.identity["protocol"]
-        scenarios = scenarios_of(evidence)
+        run, backend, files = self.run, self.backend, self.run.folder
+        scenarios = scenarios_of(run)
         here = call_in_child(backend.fingerprint)
-        self.differences = world_differences(self.identity, here, backend.protocol_hash(task, protocol))
-        if table is None or table.num_rows != evidence.header["episodes"]:
+        self.differences = world_differences(run, here, backend.protocol_hash(run.task, run.protocol))
+        if files.table is None or files.table.num_rows != run.header["episodes"]:
             return
-        plan = Plan(scenarios.scenarios[: table.num_rows], task, protocol)
-        self.unfinished = unfinished(plan, table)
-        self.infra_errors = table.num_rows - table.column("infra_error").null_count
-        self.findings += statistics_findings(evidence, plan)
-        if evidence.actions is None:
+        plan = Plan(scenarios.scenarios[: run.counts.episodes], run.task, run.protocol)
+        self.unfinished, self.infra_errors = unfinished(plan, run.table), run.counts.infra_errors
+        if files.summary is not None and self.unfinished != run.unfinished:
+            detail = f"says {run.unfinished}, {run.results_path.name} gives {self.unfinished}"
+            self.findings.append(Finding(SUMMARY_FILE, "unfinished", detail))
+        if files.actions is None:
             return
         if not self.differences:
-            self.findings += invalid_actions(evidence, plan, backend.valid_actions)
-        records = recorded_actions(evidence.actions, plan.steps)
-        sample = self._sample(table.column("success").to_pylist())
-        drawn = Plan([plan.scenarios[row] for row in sample], task, protocol)
+            self.findings += invalid_actions(run, files.actions, plan, backend.valid_actions)
+        records = recorded_actions(files.actions, plan.steps)
+        sample = self._sample(np.flatnonzero(run.outcomes.eligible).tolist())
+        drawn = Plan([plan.scenarios[row] for row in sample], run.task, run.protocol)
         self._simulate(drawn, records, engine, workers, address)
         self._compare(scenarios, plan, records, set(sample))
 
-    def _sample(self, success: list[bool | None]) -> list[int]:
+    def _sample(self, measured: list[int]) -> list[int]:
         """Rows to be simulated again, ascending."""
-        measured = [row for row, value in enumerate(success) if value is not None]
         self.measured = len(measured)
         count = math.ceil(self.fraction * len(measured))
         if count in (0, len(measured)):
@@ -177,9 +169,8 @@ class _Replay:
 
     def _compare(self, scenarios: ScenarioList, plan: Plan, records: Records, sample: set[int]) -> None:
         """Every row against what it should be: scenario and action in all, outcomes in the sample."""
-        table = self.evidence.table
-        assert table is not None
-        expected = episodes_table(scenarios, table.num_rows, plan.steps, records).to_pylist()
+        table = self.run.stored  # what is newer than the run was not recorded
+        expected = results_table(scenarios, table.num_rows, plan.steps, records).to_pylist()
         lost = {key[0] for key, record in records.outcomes.items() if isinstance(record.outcome, InfraError)}
         fixed = list(scenario_columns(plan.task))
         fixed += [f"step{step}_{name}" for step in plan.steps for name in ("action", "x_m", "y_m", "theta_rad")]
@@ -194,19 +185,18 @@ class _Replay:
             if names:
                 name, more = names[0], f" and {len(names) - 1} more columns" if len(names) > 1 else ""
                 detail = f"{name} says {shortened(said[name])}, the replay gives {shortened(found[name])}{more}"
-                self.findings.append(Finding(EPISODES_FILE, row_name(table, row), detail))
+                self.findings.append(Finding(self.run.results_path.name, row_name(table, row), detail))
 
     def report(self, key: Ed25519PublicKey | None) -> ReplayReport:
-        header, summary = self.evidence.header, self.evidence.summary or {}
-        audit = summary.get("audit")
+        run, summary = self.run, self.run.folder.summary or {}
         return ReplayReport(
-            run=str(self.evidence.folder),
-            policy=str(header["policy"].get("name")),
-            task=str(self.identity.get("task")),
-            protocol=str(self.identity.get("protocol")),
-            merkle_root=str(header["seal"].get("merkle_root")),
-            run_sha256=hashlib.sha256(self.evidence.payload).hexdigest(),
-            episodes=header["episodes"],
+            run=str(run.source),
+            policy=run.policy,
+            task=run.task,
+            protocol=run.protocol,
+            merkle_root=run.provenance.merkle_root,
+            run_sha256=hashlib.sha256(run.folder.payload).hexdigest(),
+            episodes=run.header["episodes"],
             unfinished=self.unfinished,
             infra_errors=self.infra_errors,
             fraction=self.fraction,
@@ -220,7 +210,7 @@ class _Replay:
             flips_ci95=self._share(self.flips),
             signed=self.signature is not None,
             signer=None if key is None else key_name(key),
-            audit=audit if isinstance(audit, dict) else None,
+            audit=summary.get("audit"),
             findings=tuple(self.findings),
         )
 

@@ -27,7 +27,7 @@ class ReplayReport:
     ----------
     run, policy, task, protocol : str
     merkle_root : str
-        Over the rows of ``episodes.parquet``, hexadecimal.
+        Over the rows of the results table, hexadecimal.
     run_sha256 : str
         Of ``run.json``.
     episodes, unfinished, infra_errors : int
@@ -39,9 +39,9 @@ class ReplayReport:
     replayed, lost : int
         Episodes simulated again; those of them that could not be simulated here.
     differences : dict of str to (recorded, here)
-        In what the simulator here differs from that of the run: rows may then come out otherwise, which is no finding.
+        In what the simulator here differs from that of the run: rows may then differ, which is not a finding.
     different_rows : int
-        Replayed rows of which any recorded value came out otherwise.
+        Replayed rows of which any recorded value differed.
     different_ci95 : (float, float)
         Clopper-Pearson interval of their share among all measured rows: its upper end bounds the share of false rows.
     flips : int
@@ -87,7 +87,7 @@ class ReplayReport:
 
     @property
     def same_simulator(self) -> bool:
-        """Whether the simulator here is that of the run, so that every bit must come out the same."""
+        """Whether the simulator here is that of the run, so that every bit must be the same."""
         return not self.differences
 
     def to_dict(self) -> dict[str, Any]:

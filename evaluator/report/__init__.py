@@ -2,10 +2,9 @@
 
 ::
 
-    finished     run folder                  ->  FinishedRun, checked against itself
-    breakdown    FinishedRun                 ->  success by group and by place
-    content      FinishedRun                 ->  remarks, failures, timings, provenance in words
-    selection    FinishedRun                 ->  the episodes to show
+    breakdown    Run                 ->  success by group and by place
+    content      Run                 ->  remarks, failures, timings, provenance in words
+    selection    Run                 ->  the episodes to show
     film         episode                     ->  Take: played again from its recorded actions
     images       Take                        ->  photographs, animation, maps
     gallery      Take + pictures             ->  Card

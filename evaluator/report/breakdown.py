@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evaluator.report.finished import FinishedRun, Row
-from evaluator.scenarios.strata import strata, targets_of_run
+from evaluator.run.run import Row, Run
+from evaluator.scenarios.strata import strata
 from evaluator.statistics import rate_interval
 from rema_data import grid
 
@@ -101,25 +101,20 @@ def group(label: str, rows: Sequence[Row]) -> Group:
     return Group(label, len(rows), successes, *rate_interval(successes, len(rows)))
 
 
-def reached(run: FinishedRun) -> list[Row]:
+def reached(run: Run) -> list[Row]:
     """Measured episodes that reached the last step: those in which the target decided anything."""
     last = f"step{run.steps[-1]}_success"
     return [row for row in run.measured if row[last] is not None]
 
 
-def breakdowns(run: FinishedRun) -> list[Breakdown]:
+def breakdowns(run: Run) -> list[Breakdown]:
     """Success by shape, size, yaw and place of the target, and by the shapes of what was held.
 
     Properties of the target are about the episodes that reached the last step; those of tools about all measured ones.
-
-    Raises
-    ------
-    IntegrityError
-        ``episodes.parquet`` lacks a column.
     """
     rows = {row["index"]: row for row in reached(run)}
     by: dict[str, list[Group]] = {}
-    for stratum in strata(targets_of_run(run.path)):
+    for stratum in strata(run.targets):
         members = [rows[index] for index in np.flatnonzero(stratum.members).tolist() if index in rows]
         if members:
             by.setdefault(stratum.by, []).append(group(stratum.label, members))
@@ -142,7 +137,7 @@ def _rings(rows: Sequence[Row]) -> list[Group]:
     return [group(label, ring) for label, ring in zip(labels, rings, strict=True) if ring]
 
 
-def place_map(run: FinishedRun) -> PlaceMap | None:
+def place_map(run: Run) -> PlaceMap | None:
     """Success by the place of the target, over the valid square; None where no episode reached the last step."""
     half = grid.SCENE_HALF_M - grid.VALID_MARGIN * grid.PIXEL_M
     cells: dict[tuple[int, int], list[Row]] = {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ import numpy as np
 
 from evaluator.protocol import protocol, protocol_hash
 from evaluator.report.breakdown import Group
-from evaluator.report.finished import FinishedRun
+from evaluator.run.run import Run
 from evaluator.run.summary import PHASES
 from evaluator.sim.kinds import KINDS
 from evaluator.statistics import clopper_pearson, format_rate, percent, rate_interval
@@ -55,48 +56,46 @@ def step_name(task: str, step: int) -> str:
     return f"{step + 1}: {kind.primitive.value} with {KINDS[kind].acting}"
 
 
-def remarks(run: FinishedRun) -> list[str]:
+def remarks(run: Run) -> list[str]:
     """Sentences without which the rate could be misread."""
-    summary, found = run.summary, []
-    eligible, successes = summary["eligible"], summary["successes"]
+    counts, found = run.counts, []
+    eligible = counts.eligible
     if run.tag == "privileged":
         found.append("The policy is privileged: it is shown the true poses and shapes.")
-    if eligible and successes in (0, eligible):
+    if eligible and counts.successes in (0, eligible):
         _, bound = clopper_pearson(0, eligible)
-        word = "failed" if successes else "succeeded"
+        word = "failed" if counts.successes else "succeeded"
         found.append(
             f"No episode {word}. That does not show that none ever will: the 95 % Clopper-Pearson interval of "
             f"the rate at which they do ends at {percent(bound)} %."
         )
-    if summary["policy_errors"]:
+    if counts.policy_errors:
         found.append(
-            f"{summary['policy_errors']:,} answers of the policy were faults: they count as failures of their episodes."
+            f"{counts.policy_errors:,} answers of the policy were faults: they count as failures of their episodes."
         )
-    if summary["infra_errors"]:
-        low, high = summary["success_rate_bounds"]
+    if counts.infra_errors and counts.bounds is not None:
+        low, high = counts.bounds
         found.append(
-            f"{summary['infra_errors']:,} episodes were lost to the infrastructure and are in no rate. Whatever they "
-            f"were, the rate is between {percent(low)} and {percent(high)} %."
+            f"{counts.infra_errors:,} episodes were lost to the infrastructure and are in no rate. With any outcome "
+            f"of theirs, the rate is between {percent(low)} and {percent(high)} %."
         )
-    missing = summary["episodes"] - eligible - summary["infra_errors"]
+    missing = counts.episodes - eligible - counts.infra_errors
     if missing:
         found.append(
             f"{missing:,} episodes are not eligible: they were not measured, or their scenario has no tools for this "
             "protocol."
         )
-    if summary["nondeterministic"]:
+    if run.nondeterministic:
         found.append(
-            f"{summary['nondeterministic']:,} steps were simulated twice with different outcomes: do not use these "
-            "numbers."
+            f"{run.nondeterministic:,} steps were simulated twice with different outcomes: do not use these numbers."
         )
-    if summary.get("stopped_early"):
+    if run.stopped_early:
         found.append("The run was stopped early, after looking at its rate: the interval does not hold for it.")
-    audit = summary.get("audit")
-    if audit:
+    if run.audit is not None:
+        audit = run.audit
         found.append(
-            f"{audit['episodes']:,} episodes were done a second time: {audit['action_flips']:,} of "
-            f"{audit['actions']:,} actions and {audit['outcome_flips']:,} of {audit['outcomes']:,} outcomes came out "
-            "otherwise."
+            f"{audit.actions:,} answers of the policy were asked for again: {audit.action_flips:,} differed. "
+            f"{audit.outcomes:,} actions were simulated again: {audit.outcome_flips:,} outcomes differed."
         )
     parts = run.header["segments"]
     if any(part.get("dirty") for part in parts):
@@ -106,11 +105,11 @@ def remarks(run: FinishedRun) -> list[str]:
     return found
 
 
-def failures(run: FinishedRun) -> list[Group]:
+def failures(run: Run) -> list[Group]:
     """Failure labels, the commonest first; ``successes`` counts the episodes that failed so."""
-    eligible = run.summary["eligible"]
-    counts = sorted(run.summary["failures"].items(), key=lambda item: (-item[1], item[0]))
-    return [Group(label, eligible, count, *rate_interval(count, eligible)) for label, count in counts]
+    eligible, labels = run.counts.eligible, run.counts.failures
+    ordered = sorted(labels.items(), key=lambda item: (-item[1], item[0]))
+    return [Group(label, eligible, count, *rate_interval(count, eligible)) for label, count in ordered]
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,18 +123,18 @@ class StepTotal:
     text: str
 
 
-def funnel(run: FinishedRun) -> list[StepTotal]:
+def funnel(run: Run) -> list[StepTotal]:
     """The steps of an end-to-end run of several steps; nothing for other runs."""
-    steps = run.summary["funnel"]
+    steps = run.counts.funnel
     if len(steps) < 2:
         return []
     return [
         StepTotal(
-            step_name(run.task, step["step"]),
-            step["attempted"],
-            step["succeeded"],
-            step["succeeded"] / max(1, step["attempted"]),
-            format_rate(step["succeeded"], step["attempted"]),
+            step_name(run.task, step.step),
+            step.attempted,
+            step.succeeded,
+            step.succeeded / max(1, step.attempted),
+            format_rate(step.succeeded, step.attempted),
         )
         for step in steps
     ]
@@ -150,7 +149,7 @@ class Fault:
     example: str
 
 
-def faults(run: FinishedRun) -> list[Fault]:
+def faults(run: Run) -> list[Fault]:
     """What the policy did instead of answering, the commonest first."""
     rows = run.faults()
     counts = Counter(str(row["reason"]) for row in rows)
@@ -185,7 +184,7 @@ class Timings:
     steps: Sequence[StepTimes]
 
 
-def timings(run: FinishedRun) -> Timings:
+def timings(run: Run) -> Timings:
     """Wall time by phase, and the simulator's time by step."""
     seconds, speed = run.summary["seconds"], run.summary["episodes_per_second"]
     total = seconds["total"]
@@ -220,27 +219,24 @@ def _time(seconds: float) -> str:
     return f"{minutes:.1f} min" if minutes < 120 else f"{minutes / 60:.1f} h"
 
 
-def provenance(run: FinishedRun) -> list[tuple[str, str]]:
+def provenance(run: Run) -> list[tuple[str, str]]:
     """Everything that identifies the run."""
-    policy, summary = run.header["policy"], run.summary
-    print_ = summary["fingerprint"]
-    mark = (
-        ", ".join(f"{name} {value}" for name, value in print_.items()) if isinstance(print_, Mapping) else str(print_)
-    )
+    policy, found = run.header["policy"], run.provenance
+    results = run.results_path
     return [
-        ("policy", f"{summary['policy']} ({policy.get('file', _UNKNOWN)}, class {policy.get('class_name', _UNKNOWN)})"),
-        ("policy digest", str(summary["policy_digest"])),
-        ("task, split, protocol", f"{run.task}, {summary['split']}, {summary['protocol']}"),
-        ("protocol hash", str(summary["protocol_hash"])),
-        ("scenario list", f"{run.episodes[0]['scenario'].rpartition('/')[0]}, first {summary['episodes']:,}"),
-        ("scenarios hash", str(summary["scenarios_hash"])),
-        ("simulator", mark),
-        ("episodes.parquet", f"sha256 {run.digest}"),
-        *([("root over the episodes", str(summary["merkle_root"]))] if "merkle_root" in summary else []),
+        ("policy", f"{run.policy} ({policy.get('file', _UNKNOWN)}, class {policy.get('class_name', _UNKNOWN)})"),
+        ("policy digest", found.policy_digest),
+        ("task, split, protocol", f"{run.task}, {run.split}, {run.protocol}"),
+        ("protocol hash", found.protocol_hash),
+        ("scenario list", f"{run.rows[0]['scenario'].rpartition('/')[0]}, first {run.counts.episodes:,}"),
+        ("scenarios hash", found.scenarios_hash),
+        ("simulator", ", ".join(f"{name} {value}" for name, value in found.fingerprint.items())),
+        (results.name, f"sha256 {hashlib.sha256(results.read_bytes()).hexdigest()}"),
+        *([("root over the episodes", found.merkle_root)] if found.merkle_root else []),
     ]
 
 
-def segments(run: FinishedRun) -> Mapping[str, Any]:
+def segments(run: Run) -> Mapping[str, Any]:
     """The processes that computed the run: names of the columns, and a row each."""
     rows = []
     for part in run.header["segments"]:
@@ -264,10 +260,9 @@ def segments(run: FinishedRun) -> Mapping[str, Any]:
     return {"names": _SEGMENT_COLUMNS, "rows": rows}
 
 
-def criteria(run: FinishedRun) -> list[str]:
-    """What counted as success, step by step; nothing where this installation judges by another protocol."""
-    name = run.summary["protocol"]
-    if protocol_hash(run.task, name) != run.summary["protocol_hash"]:
+def criteria(run: Run) -> list[str]:
+    """What counted as success, step by step; nothing where this installation has another protocol."""
+    if protocol_hash(run.task, run.protocol) != run.provenance.protocol_hash:
         return []
-    steps = protocol(run.task, name)["steps"]
+    steps = protocol(run.task, run.protocol)["steps"]
     return [f"{step_name(run.task, number).partition(': ')[2]}: {steps[number]['success']}" for number in run.steps]

@@ -11,9 +11,9 @@ from evaluator.render.film import FilmMaker, Take, agreement
 from evaluator.render.images import Photographs, draw_action, draw_scores, photograph
 from evaluator.render.studio import Studio
 from evaluator.render.words import FAILURES, measured_text, touching_text
-from evaluator.report.finished import FinishedRun, Row
 from evaluator.report.scores import Scored
 from evaluator.report.selection import Chosen
+from evaluator.run.run import Row, Run
 from rema_data.pictures import action_text
 from rema_data.progress import Progress
 from rema_data.schema import TASKS, Action, Failure, Scenario
@@ -63,14 +63,12 @@ class Card:
     left_out: Sequence[str] = field(default=())
 
 
-def make_cards(
-    run: FinishedRun, scenarios: Sequence[Scenario], chosen: Sequence[Chosen], progress: Progress
-) -> list[Card]:
+def make_cards(run: Run, scenarios: Sequence[Scenario], chosen: Sequence[Chosen], progress: Progress) -> list[Card]:
     """Play the chosen episodes again and picture them.
 
     Parameters
     ----------
-    run : FinishedRun
+    run : Run
     scenarios : sequence of Scenario
         The list of the run.
     chosen : sequence of Chosen
@@ -90,13 +88,12 @@ def make_cards(
     return cards
 
 
-def _played_again(films: FilmMaker, run: FinishedRun, scenario: Scenario, row: Row) -> Take:
+def _played_again(films: FilmMaker, run: Run, scenario: Scenario, row: Row) -> Take:
     """The step at which an episode was decided, or at which it now goes another way."""
-    protocol = "end-to-end" if run.end_to_end else "conditional"
-    return films.play(scenario, protocol, lambda situation: row[f"step{situation.step}_action"], row["failed_step"])
+    return films.play(scenario, run.protocol, lambda situation: row[f"step{situation.step}_action"], row["failed_step"])
 
 
-def _card(run: FinishedRun, one: Chosen, take: Take, photographs: Photographs) -> Card:
+def _card(run: Run, one: Chosen, take: Take, photographs: Photographs) -> Card:
     again = "success" if take.outcome.failure is None else str(take.outcome.failure.value).replace("_", " ")
     return Card(
         one.label,
@@ -113,7 +110,7 @@ def _card(run: FinishedRun, one: Chosen, take: Take, photographs: Photographs) -
     )
 
 
-def _speechless(run: FinishedRun, one: Chosen, fault: Mapping[str, str]) -> Card:
+def _speechless(run: Run, one: Chosen, fault: Mapping[str, str]) -> Card:
     """The card of an episode in which the policy gave no action."""
     step = run.steps[-1] if one.row["failed_step"] is None else one.row["failed_step"]
     facts = [("what happened", str(fault.get("reason", "no action")).replace("_", " "))]
@@ -122,7 +119,7 @@ def _speechless(run: FinishedRun, one: Chosen, fault: Mapping[str, str]) -> Card
     return Card(one.label, one.rank, one.row["scenario"], _step_text(run, step), facts)
 
 
-def _step_text(run: FinishedRun, step: int) -> str:
+def _step_text(run: Run, step: int) -> str:
     kinds = TASKS[run.task]
     number = f"step {step + 1} of {len(kinds)}: " if len(kinds) > 1 else ""
     return f"{number}{kinds[step].primitive.value}"

@@ -1,7 +1,7 @@
 """What the policy of a run thought of its actions: its scores, asked for again, and how they turned out.
 
 A run records actions, not scores. A policy that has a method ``maps(observations)``, as the learned baselines do,
-can be asked again: in a process of its own, behind the walls that stood around it when it was evaluated.
+can be asked again: in a process of its own, in the sandbox that it was evaluated in.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from evaluator.policy import PolicyFault, PolicyHost
 from evaluator.policy.load_errors import printable
 from evaluator.policy.loading import PolicySpec, digest
 from evaluator.report.breakdown import Group, group
-from evaluator.report.finished import FinishedRun, Row
 from evaluator.report.selection import spread
 from evaluator.rollout.ask import question
 from evaluator.rollout.backend import default_backend
+from evaluator.run.run import Row, Run
 from rema_data import grid
 from rema_data.errors import RunMismatchError, SubmissionError
 from rema_data.schema import Scenario, Situation
@@ -79,7 +79,7 @@ class Bin:
     group: Group
 
 
-def check_policy(run: FinishedRun, policy: PolicySpec, checkpoint: Path | None) -> None:
+def check_policy(run: Run, policy: PolicySpec, checkpoint: Path | None) -> None:
     """Refuse a policy that is not the one of the run.
 
     Raises
@@ -89,19 +89,19 @@ def check_policy(run: FinishedRun, policy: PolicySpec, checkpoint: Path | None) 
     MissingFileError
         Code or weights are not there.
     """
-    got, recorded = digest(policy, checkpoint), run.summary["policy_digest"]
+    got, recorded = digest(policy, checkpoint), run.provenance.policy_digest
     if got != recorded:
         raise RunMismatchError(
-            f"{policy.name} is not the policy of {run.path}: its digest is {got[:12]}..., "
-            f"that of the run {str(recorded)[:12]}...",
+            f"{policy.name} is not the policy of {run.source}: its digest is {got[:12]}..., "
+            f"that of the run {recorded[:12]}...",
             hint="name the policy and the --checkpoint that were evaluated, or leave --policy out",
-            path=str(run.path),
+            path=str(run.source),
             recorded=recorded,
             got=got,
         )
 
 
-def scored_episodes(run: FinishedRun, count: int) -> list[Row]:
+def scored_episodes(run: Run, count: int) -> list[Row]:
     """Episodes with an action for the first step of the policy, ``count`` at most, spread over the list."""
     step = run.steps[0]
     rows = [row for row in run.measured if row[f"step{step}_action"] is not None]
@@ -120,7 +120,7 @@ def ask_scores(
     run : Path or None
         Folder of the run, whose outcomes the policy must not see.
     note : callable, optional
-        Told which walls stand around the policy.
+        Told the isolation level of the policy.
 
     Raises
     ------
@@ -161,7 +161,7 @@ def _no_maps(host: PolicyHost, why: str) -> SubmissionError:
     said = printable(host.output[-_SAID:]).strip()
     return SubmissionError(
         f"policy {host.spec.name} gave no maps: {why}",
-        hint=f"{said}\nmend {host.spec.path}, or leave --policy out".strip(),
+        hint=f"{said}\nfix {host.spec.path}, or leave --policy out".strip(),
         path=host.spec.path,
     )
 
@@ -172,9 +172,9 @@ def calibration(rows: Sequence[Row], step: int, scores: Sequence[float]) -> list
     Parameters
     ----------
     rows : sequence of mapping
-        Of ``episodes.parquet``.
+        Of the results table.
     step : int
-        The step that was scored; success is its own.
+        The step whose scores they are; success is its own.
     scores : sequence of float
         Shares in 0..1, one a row.
 
@@ -199,6 +199,6 @@ def calibration(rows: Sequence[Row], step: int, scores: Sequence[float]) -> list
     return bins
 
 
-def situation_of(scenario: Scenario, run: FinishedRun) -> Situation:
+def situation_of(scenario: Scenario, run: Run) -> Situation:
     """The first situation in which the policy acted: it depends on the scenario alone."""
     return scenario.first_situation() if run.end_to_end else scenario.last_situation()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from evaluator.report.finished import FinishedRun, Row
+from evaluator.run.run import Row, Run
 
 __all__ = ["SUCCESS", "Chosen", "choose", "spread"]
 
@@ -24,7 +24,7 @@ class Chosen:
     rank : int
         Position among the chosen ones of its label, from 0.
     row : mapping
-        Of ``episodes.parquet``.
+        Of the results table.
     """
 
     label: str
@@ -32,12 +32,12 @@ class Chosen:
     row: Row
 
 
-def choose(run: FinishedRun, per_label: int) -> list[Chosen]:
+def choose(run: Run, per_label: int) -> list[Chosen]:
     """``per_label`` episodes of every label, spread over the list; successes first, then the commonest failure.
 
     Parameters
     ----------
-    run : FinishedRun
+    run : Run
     per_label : int
         At most so many of a label; 0 for none.
     """

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 from evaluator.protocol import protocol_hash
 from evaluator.report import content
 from evaluator.report.breakdown import breakdowns, place_map
-from evaluator.report.finished import FinishedRun, Row, read_finished
 from evaluator.report.selection import Chosen, choose
+from evaluator.run.reading import read_run
+from evaluator.run.run import Row, Run
 from evaluator.scenarios import ScenarioList, load_list
 from evaluator.statistics import percent
 from rema_data.errors import InputError, RemaError
@@ -128,7 +129,7 @@ def write_report(
         The page cannot be written.
     """
     options, progress = options or ReportOptions(), progress or Silent()
-    finished = read_finished(run)
+    finished = read_run(run)
     try:
         from evaluator.render.images import FILM, MAP_PIXELS, PHOTO
         from evaluator.render.words import FAILURES
@@ -157,10 +158,10 @@ def write_report(
     return WrittenReport(path, len(page), len(cards), dict(agreement), pictures.scored, left_out)
 
 
-def _words(run: FinishedRun) -> dict[str, Any]:
+def _words(run: Run) -> dict[str, Any]:
     """Everything on the page that comes from the run's own tables."""
-    summary, place = run.summary, place_map(run)
-    lost = Counter(row["infra_error"] for row in run.episodes if row["infra_error"] is not None)
+    place = place_map(run)
+    lost = Counter(row["infra_error"] for row in run.rows if row["infra_error"] is not None)
     many = (
         "There are many rows: a few of them look unusual by chance alone. The dashed line is the rate of all episodes "
         "of a table."
@@ -171,10 +172,10 @@ def _words(run: FinishedRun) -> dict[str, Any]:
             f"them. {many}"
         )
     sections = [(key, name) for key, name in _SECTIONS.items() if key != "place" or place is not None]
-    rate = "no rate" if summary["success_rate"] is None else percent(summary["success_rate"]) + " %"
+    rate = "no rate" if run.counts.rate is None else percent(run.counts.rate) + " %"
     return {
-        "title": f"{summary['policy']} on {run.task}: {rate}",
-        "summary": summary,
+        "title": f"{run.policy} on {run.task}: {rate}",
+        "run": run,
         "tag": run.tag,
         "sections": sections,
         "remarks": content.remarks(run),
@@ -194,9 +195,9 @@ def _words(run: FinishedRun) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class _Pictures:
-    """The gallery and the calibration, or why there is none."""
+    """The gallery and the calibration, or why they are missing."""
 
-    run: FinishedRun
+    run: Run
     cards: Sequence[Card]
     reason: str
     bins: Sequence[Bin]
@@ -207,7 +208,7 @@ class _Pictures:
     def words(self) -> dict[str, Any]:
         from rema_data.pictures import LEGEND
 
-        totals = {"success": self.run.summary["successes"], **self.run.summary["failures"]}
+        totals = {"success": self.run.counts.successes, **self.run.counts.failures}
         shown = Counter(card.label for card in self.cards)
         return {
             "gallery_reason": self.reason,
@@ -228,12 +229,12 @@ class _Pictures:
         if seen["same label"]:
             note += f", {seen['same label']} ended the same way with other measurements"
         note += f", and {seen['different']} ended differently."
-        if protocol_hash(self.run.task, self.run.summary["protocol"]) != self.run.summary["protocol_hash"]:
-            note += " This installation judges by another protocol than the run: expect differences."
+        if protocol_hash(self.run.task, self.run.protocol) != self.run.provenance.protocol_hash:
+            note += " This installation has another protocol than the run: expect differences."
         return note
 
 
-def _pictures(run: FinishedRun, options: ReportOptions, progress: Progress) -> _Pictures:
+def _pictures(run: Run, options: ReportOptions, progress: Progress) -> _Pictures:
     from evaluator.report.gallery import make_cards, with_scores
     from evaluator.report.scores import Asked, ask_scores, calibration, check_policy, scored_episodes, situation_of
 
@@ -262,7 +263,7 @@ def _pictures(run: FinishedRun, options: ReportOptions, progress: Progress) -> _
     questions += [(situation_of(scenarios.scenarios[row["index"]], run), row[f"step{step}_action"]) for row in rows]
     progress.phase("ask", len(questions))
     asked = Asked(options.policy, options.checkpoint, options.device, options.sandbox)
-    answers = ask_scores(asked, questions, run.path, progress.note) if questions else []
+    answers = ask_scores(asked, questions, run.source, progress.note) if questions else []
     progress.advance(len(questions))
     for n, answer in zip(places, answers, strict=False):
         cards[n] = with_scores(cards[n], answer)
@@ -278,13 +279,13 @@ def _pictures(run: FinishedRun, options: ReportOptions, progress: Progress) -> _
     return _Pictures(run, cards, reason, bins, note, len(rows), options.per_label)
 
 
-def _scenarios(run: FinishedRun) -> ScenarioList:
+def _scenarios(run: Run) -> ScenarioList:
     """The list of the run; an error where this installation does not have it."""
-    version = str(run.episodes[0]["scenario"]).partition("/")[0]
-    scenarios = load_list(run.task, run.summary["split"], version)
-    if scenarios.sha256 != run.summary["scenarios_hash"] or len(run.episodes) > len(scenarios.scenarios):
+    version = str(run.rows[0]["scenario"]).partition("/")[0]
+    scenarios = load_list(run.task, run.split, version)
+    if scenarios.sha256 != run.provenance.scenarios_hash or len(run.rows) > len(scenarios.scenarios):
         raise InputError(
-            f"the {run.task}/{run.summary['split']} list {version} of this installation is not the one of the run",
+            f"the {run.task}/{run.split} list {version} of this installation is not the one of the run",
             hint="install the version of rema that made the run",
         )
     return scenarios

@@ -1,15 +1,20 @@
-"""What makes a run checkable by a stranger: its action log, the tree over its rows, its seal, and a signature.
+"""A run folder: what a process writes there, and the one reader of it.
 
 ::
 
+    records     journals of answers and outcomes, while the run goes on
+    folder      the folder and its lock, for the process that writes
+    tables      results.parquet and timings.parquet
+    counts      counts, rate and interval, from the rows
+    summary     summary.json
     header      run.json
-    actions     actions.bin, two bytes for every step of every episode
-    merkle      one hash over all rows, and the short proof that a row is under it
-    rows        rows of episodes.parquet as bytes that can be hashed
-    proof       that proof as a file
     seal        digests in run.json of itself and of the files beside it
     check       which of them no longer agree, and in which row
-    signature   an Ed25519 signature over run.json, and through the seal over everything
+    run         Run: what a run is, for everybody who reads one
+    entry       a run as a file of the leaderboard
+    reading     read_run: a folder or an entry file as a Run
+    actions, merkle, rows, proof, signature
+                the action log, the hash tree over the rows, and a signature over run.json
 
 ``evaluator.replay`` goes further and simulates the recorded actions again.
 """

@@ -12,7 +12,15 @@ from typing import Any
 from evaluator.run.environment import environment
 from evaluator.run.header import RUN_FILE, RUN_FORMAT, encode_header, read_header
 from evaluator.run.lock import locked
-from evaluator.run.seal import ACTIONS_FILE, EPISODES_FILE, LEAVES_FILE, SUMMARY_FILE, changed_parts, make_seal
+from evaluator.run.seal import (
+    ACTIONS_FILE,
+    LEAVES_FILE,
+    OLD_RESULTS_FILE,
+    RESULTS_FILE,
+    SUMMARY_FILE,
+    changed_parts,
+    make_seal,
+)
 from evaluator.run.signature import SIGNATURE_FILE
 from rema_data.errors import InputError, RunMismatchError
 from rema_data.storage import storage_errors, write_atomic
@@ -21,8 +29,8 @@ __all__ = ["RunFolder"]
 
 TIMINGS_FILE = "timings.parquet"
 _LOG_FILE = "policy.log"
-_RESULTS = (EPISODES_FILE, SUMMARY_FILE)
-_FILES = (RUN_FILE, EPISODES_FILE, ACTIONS_FILE, LEAVES_FILE, TIMINGS_FILE, SUMMARY_FILE, _LOG_FILE, SIGNATURE_FILE)
+_RESULTS = (RESULTS_FILE, OLD_RESULTS_FILE, SUMMARY_FILE)
+_FILES = (RUN_FILE, RESULTS_FILE, ACTIONS_FILE, LEAVES_FILE, TIMINGS_FILE, SUMMARY_FILE, _LOG_FILE, SIGNATURE_FILE)
 
 
 class RunFolder:
@@ -66,7 +74,7 @@ class RunFolder:
     def locked(path: Path, identity: Mapping[str, Any], episodes: int) -> Iterator[RunFolder]:
         """Open the folder of a run for this process alone, creating it where it is missing.
 
-        A folder without records and results belongs to nobody: it is taken over. What a killed process left
+        A folder without records and results is taken over. What a killed process left
         half-written is swept away.
 
         Parameters
@@ -123,7 +131,7 @@ class RunFolder:
         self._episodes = episodes  # in the header once more are played: until then its seal holds
 
     def begin_segment(self, **facts: Any) -> None:
-        """Note in ``run.json`` that this process is about to write; once. A summary of before is none any more."""
+        """Note in ``run.json`` that this process is about to write; once. An earlier summary is removed."""
         if self._begun:
             return
         (self.path / SUMMARY_FILE).unlink(missing_ok=True)
@@ -155,9 +163,10 @@ class RunFolder:
 
     def seal(self, files: Mapping[str, bytes], *, root: bytes, steps: Sequence[int], unfinished: int) -> None:
         """Put a seal over ``run.json`` and ``files``, which are written already; see ``make_seal``."""
-        self.header["episodes"] = self._episodes
+        self.header.update(format=RUN_FORMAT, episodes=self._episodes)
         self.header["seal"] = make_seal(self.header, files, root=root, steps=steps, unfinished=unfinished)
         self.save()
+        (self.path / OLD_RESULTS_FILE).unlink(missing_ok=True)  # of an earlier format: written under its new name
 
     @property
     def policy_log(self) -> Path:
@@ -170,7 +179,7 @@ class RunFolder:
 
 
 def _sweep(path: Path) -> None:
-    """Remove the temporary files of writers that were killed; the lock says that nobody is writing now."""
+    """Remove the temporary files of writers that were killed; the lock says that no process is writing now."""
     for name in _FILES:
         for left in path.glob(f".{name}.*"):
             left.unlink(missing_ok=True)

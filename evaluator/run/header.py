@@ -6,25 +6,115 @@ import json
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, NotRequired
 
+import pydantic
+from typing_extensions import TypedDict  # pydantic needs this one before Python 3.12
+
+from evaluator.policy.loading import NAME_LENGTH
 from evaluator.policy.named import policy_names
+from evaluator.protocol import PROTOCOLS
 from rema_data.errors import IntegrityError, MissingFileError
+from rema_data.schema import TASKS
 from rema_data.storage import storage_errors
+from rema_data.validation import validated
 
 __all__ = [
     "RUN_FILE",
     "RUN_FORMAT",
+    "Protocol",
+    "Task",
+    "check_format",
     "encode_header",
+    "environment_of",
     "isolation_level",
     "read_header",
     "resume_command",
 ]
 
 RUN_FILE = "run.json"
-RUN_FORMAT = 1
-_FIELDS = {"format": int, "identity": dict, "policy": dict, "episodes": int, "salt": str, "segments": list}
-_OPTIONAL = {"seal": dict}
+RUN_FORMAT = 2
+"""1: the table of a run is called episodes.parquet, and a rate of 0 or 1 has Wilson's interval. 2: results.parquet, and
+the interval that the tables show."""
+_RESTORE = "restore it from a copy, or evaluate the policy into another folder with --output"
+_VERSIONS = ("rema", "python", "numpy", "pybullet", "torch", "openvino")
+
+
+def _task(name: str) -> str:
+    if name not in TASKS:
+        raise ValueError(f"unknown task {name!r}")
+    return name
+
+
+def _protocol(name: str) -> str:
+    if name not in PROTOCOLS:
+        raise ValueError(f"unknown protocol {name!r}")
+    return name
+
+
+def _policy_name(name: str) -> str:
+    if not name or len(name) > NAME_LENGTH or not name.isprintable():
+        raise ValueError(f"{name[:NAME_LENGTH]!r} cannot be a policy name")
+    return name
+
+
+Task = Annotated[str, pydantic.AfterValidator(_task)]
+Protocol = Annotated[str, pydantic.AfterValidator(_protocol)]
+_CLOSED = pydantic.ConfigDict(extra="forbid", strict=True)
+_OPEN = pydantic.ConfigDict(extra="allow", strict=True)
+
+
+@pydantic.with_config(_CLOSED)
+class _Identity(TypedDict):
+    task: Task
+    split: str
+    protocol: Protocol
+    policy_digest: str
+    protocol_hash: str
+    scenarios_hash: str
+    fingerprint: dict[str, str]
+
+
+@pydantic.with_config(_CLOSED)
+class _Policy(TypedDict, total=False):
+    name: Annotated[str, pydantic.AfterValidator(_policy_name)]
+    file: str
+    class_name: str
+    privileged: bool
+
+
+@pydantic.with_config(_OPEN)
+class _Segment(TypedDict, total=False):
+    """What a process noted about itself; for people, so more may be there."""
+
+    number: int
+    machine: dict[str, Any]
+    versions: dict[str, str]
+    workers: int
+    seconds: dict[str, float]
+    finished: int
+
+
+@pydantic.with_config(_CLOSED)
+class _Seal(TypedDict):
+    version: int
+    merkle_root: str
+    steps: list[int]
+    unfinished: int
+    files: dict[str, str]
+    parts: dict[str, str]
+    sha256: str
+
+
+@pydantic.with_config(_CLOSED)
+class _Header(TypedDict):
+    format: pydantic.PositiveInt
+    identity: _Identity
+    policy: _Policy
+    episodes: pydantic.NonNegativeInt
+    salt: str
+    segments: list[_Segment]
+    seal: NotRequired[_Seal]
 
 
 def encode_header(header: dict[str, Any]) -> str:
@@ -40,7 +130,7 @@ def read_header(folder: Path) -> tuple[dict[str, Any], bytes]:
     MissingFileError
         There is none.
     IntegrityError
-        It is not a run header of this version.
+        It is not a run header, or one of a newer format.
     """
     path = folder / RUN_FILE
     if not path.is_file():
@@ -53,22 +143,42 @@ def read_header(folder: Path) -> tuple[dict[str, Any], bytes]:
         payload = path.read_bytes()
     try:
         header: dict[str, Any] = json.loads(payload.decode("utf-8"))
-        every = _FIELDS | _OPTIONAL
-        known = (
-            header["format"] == RUN_FORMAT
-            and _FIELDS.keys() <= header.keys() <= every.keys()
-            and all(isinstance(value, every[name]) for name, value in header.items())
-            and all(isinstance(segment, dict) for segment in header["segments"])
-        )
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        known = False
-    if not known:
-        raise IntegrityError(
-            f"{path} is not a run header of this version",
-            hint="restore it from a copy, or evaluate the policy into another folder with --output",
-            path=str(path),
-        )
+    except (ValueError, RecursionError) as error:
+        raise IntegrityError(f"{path} is not a run header: {error}", hint=_RESTORE, path=str(path)) from error
+    check_format(header, RUN_FORMAT, path)
+    validated(_Header, header, f"{path} is not a run header", hint=_RESTORE, error=IntegrityError)
     return header, payload
+
+
+def check_format(content: Any, newest: int, path: Path) -> None:
+    """Refuse a run header or an entry that a later version of rema wrote.
+
+    Parameters
+    ----------
+    content : object
+        Of the JSON file, which names its ``format``.
+    newest : int
+        The newest format that this version reads; it reads every earlier one.
+    path : Path
+
+    Raises
+    ------
+    IntegrityError
+        The message names the version that reads it.
+    """
+    number = content.get("format") if isinstance(content, dict) else None
+    if type(number) is int and number > newest:
+        try:
+            versions = content["segments"][-1]["versions"] if "segments" in content else content["provenance"]
+            wanted = f'"rema>={versions["rema"]}"'
+        except (KeyError, IndexError, TypeError):
+            wanted = "rema"
+        raise IntegrityError(
+            f"{path} has format {number}; this version of rema reads formats up to {newest}",
+            hint=f"install the version that wrote it, or a later one: pip install --upgrade {wanted}",
+            path=str(path),
+            format=number,
+        )
 
 
 def isolation_level(header: Mapping[str, Any]) -> str | None:
@@ -76,6 +186,17 @@ def isolation_level(header: Mapping[str, Any]) -> str | None:
     noted = [segment["isolation"] for segment in header["segments"] if "isolation" in segment]
     levels = [one.get("level") if isinstance(one, dict) else None for one in noted]
     return min((str(level) for level in levels), default=None) if all(levels) else None
+
+
+def environment_of(header: Mapping[str, Any]) -> dict[str, Any]:
+    """Versions and machine of the last process that wrote in a run, as far as they are noted: plain values."""
+    last = header["segments"][-1] if header["segments"] else {}
+    versions, machine = last.get("versions", {}), last.get("machine", {})
+    found = {name: versions.get(name) for name in _VERSIONS}
+    found |= {name: machine.get(name) for name in ("system", "architecture", "processor")}
+    found |= {name: last.get(name) for name in ("commit", "dirty", "engine", "device")}
+    found |= {"isolation": isolation_level(header), "segments": max(1, len(header["segments"]))}
+    return {name: value if isinstance(value, str | int) else None for name, value in found.items()}
 
 
 def resume_command(header: dict[str, Any], folder: Path) -> str:

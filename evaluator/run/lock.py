@@ -22,7 +22,7 @@ _NOT_WRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS)
 def locked(folder: Path, hint: str, *, only_reading: bool = False) -> Iterator[None]:
     """Hold a run folder for this process alone.
 
-    Where nothing may be written nobody else writes either: who is ``only_reading`` goes on without the lock.
+    A reader (``only_reading``) of a folder that cannot be written goes on without the lock.
 
     Raises
     ------

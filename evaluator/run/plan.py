@@ -7,9 +7,10 @@ from collections.abc import Iterator, Sequence
 from typing import TypeVar
 
 from evaluator.engines import Job, JobBatch
+from evaluator.protocol import acting_steps
 from evaluator.run.records import Records
 from evaluator.scenarios import reference_pinch, reference_tools
-from rema_data.schema import TASKS, Scenario, Situation, StepOutcome
+from rema_data.schema import Scenario, Situation, StepOutcome
 
 __all__ = ["Plan", "arrange", "job_batches"]
 
@@ -37,8 +38,7 @@ class Plan:
         self.scenarios = scenarios
         self.task = task
         self.end_to_end = protocol == "end-to-end"
-        count = len(TASKS[task])
-        self.steps = tuple(range(count)) if self.end_to_end else (count - 1,)
+        self.steps = acting_steps(task, protocol)
 
     def eligible(self, scenario: Scenario) -> bool:
         """Whether the protocol can be run on ``scenario``: the conditional one needs its tools in hand."""

@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from evaluator.run.check import read_evidence
 from evaluator.run.header import RUN_FILE
 from evaluator.run.merkle import merkle_proof, root_of_proof
+from evaluator.run.reading import read_run
 from evaluator.run.rows import row_leaf, row_leaves
-from evaluator.run.seal import EPISODES_FILE
 from rema_data.errors import InputError, IntegrityError
 
 __all__ = ["check_proof", "make_proof"]
@@ -34,20 +33,15 @@ def make_proof(folder: Path, episode: int) -> dict[str, Any]:
     MissingFileError, IntegrityError
         There is no sealed run, or its rows are not what was sealed.
     """
-    evidence = read_evidence(folder)
-    for finding in evidence.findings:
-        if finding.file in (RUN_FILE, EPISODES_FILE):
-            place = f", {finding.where}" if finding.where else ""
-            raise IntegrityError(
-                f"{folder / finding.file}{place} {finding.detail}", hint=f"see all of it: rema replay {folder}"
-            )
-    table = evidence.table
-    if table is None or not 0 <= episode < table.num_rows:
-        count = evidence.header["episodes"]
-        raise InputError(f"{folder} has no episode {episode}", hint=f"give 0 to {count - 1}", episode=episode)
+    run = read_run(folder, with_findings=True)
+    if any(finding.file in (RUN_FILE, run.results_path.name) for finding in run.findings):
+        raise run.refusal()
+    table = run.stored
+    if not 0 <= episode < table.num_rows:
+        raise InputError(f"{folder} has no episode {episode}", hint=f"give 0 to {table.num_rows - 1}", episode=episode)
     return {
         "format": _FORMAT,
-        "merkle_root": evidence.seal["merkle_root"],
+        "merkle_root": run.provenance.merkle_root,
         "episodes": table.num_rows,
         "position": episode,
         "row": table.slice(episode, 1).to_pylist()[0],
@@ -68,7 +62,7 @@ def check_proof(proof: Any, root: str) -> dict[str, Any]:
     Raises
     ------
     InputError
-        It is no proof.
+        It is not a proof.
     IntegrityError
         The row is not under the root.
     """

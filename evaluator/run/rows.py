@@ -1,4 +1,4 @@
-"""Rows of ``episodes.parquet`` as bytes: the same for the same values, whatever wrote the file."""
+"""Rows of a results table as bytes: the same for the same values, whichever program wrote the file."""
 
 from __future__ import annotations
 

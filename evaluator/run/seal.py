@@ -1,7 +1,7 @@
 """The seal of a run: digests in ``run.json`` of everything that a finished run says, ``run.json`` itself included.
 
-A seal alone tells that nothing changed since it was made, not who made it: whoever can write the folder can seal it
-anew. A signature over ``run.json`` tells who vouches for it, and a replay whether it is true.
+A seal alone tells that nothing changed since it was made, not who made it: who can write in the folder can seal it
+again. A signature over ``run.json`` tells who vouches for it, and a replay whether it is true.
 """
 
 from __future__ import annotations
@@ -14,31 +14,38 @@ from evaluator.run.rows import canonical
 
 __all__ = [
     "ACTIONS_FILE",
-    "EPISODES_FILE",
     "LEAVES_FILE",
+    "OLD_RESULTS_FILE",
+    "RESULTS_FILE",
     "SUMMARY_FILE",
     "changed_parts",
     "make_seal",
+    "results_name",
     "seal_is_whole",
+    "sealed_files",
 ]
 
-EPISODES_FILE = "episodes.parquet"
+RESULTS_FILE = "results.parquet"
+OLD_RESULTS_FILE = "episodes.parquet"
+"""Name of the same table in runs of format 1."""
 ACTIONS_FILE = "actions.bin"
 LEAVES_FILE = "leaves.bin"
 """Leaf hashes of the rows, 32 bytes each: a changed row is named by them, and one row is proved without the table."""
 SUMMARY_FILE = "summary.json"
 
 _VERSION = 1
-_FIELDS = {
-    "version": int,
-    "merkle_root": str,
-    "steps": list,
-    "unfinished": int,
-    "files": dict,
-    "parts": dict,
-    "sha256": str,
-}
-_FILES = {EPISODES_FILE, ACTIONS_FILE, LEAVES_FILE, SUMMARY_FILE}
+_FILES = {ACTIONS_FILE, LEAVES_FILE, SUMMARY_FILE}
+"""The sealed files besides the results table."""
+
+
+def results_name(header: Mapping[str, Any]) -> str:
+    """Name of the results table of a run; ``header`` is the content of its ``run.json``."""
+    return OLD_RESULTS_FILE if header["format"] == 1 else RESULTS_FILE
+
+
+def sealed_files(header: Mapping[str, Any]) -> set[str]:
+    """Names of the files that a seal is over."""
+    return {results_name(header), *_FILES}
 
 
 def make_seal(
@@ -53,7 +60,7 @@ def make_seal(
     files : mapping of str to bytes
         Content of the four sealed files, by name.
     root : bytes
-        Of the tree over the rows of ``episodes.parquet``.
+        Of the tree over the rows of the results table.
     steps : sequence of int
         Steps in which the policy acts: the columns of ``actions.bin``.
     unfinished : int
@@ -77,15 +84,14 @@ def changed_parts(header: dict[str, Any]) -> list[str]:
     return sorted(name for name in here | sealed if here.get(name) != sealed.get(name)) if sealed else []
 
 
-def seal_is_whole(seal: dict[str, Any]) -> bool:
-    """Whether a seal has its own digest, and the shape of one."""
+def seal_is_whole(header: Mapping[str, Any]) -> bool:
+    """Whether the seal in the content of a ``run.json`` has its own digest, and names the files of a run."""
+    seal = header["seal"]
     body = {name: value for name, value in seal.items() if name != "sha256"}
     return (
-        seal.keys() == _FIELDS.keys()
-        and all(isinstance(seal[name], kind) for name, kind in _FIELDS.items())
-        and seal["version"] == _VERSION
-        and seal["files"].keys() == _FILES
-        and seal["sha256"] == _digest(body)
+        seal["version"] == _VERSION
+        and seal["files"].keys() == sealed_files(header)
+        and bool(seal["sha256"] == _digest(body))
     )
 
 

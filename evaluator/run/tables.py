@@ -1,7 +1,7 @@
-"""The tables of a run: ``episodes.parquet``, one row an episode, and ``timings.parquet`` beside it.
+"""The tables of a run: ``results.parquet``, one row an episode, and ``timings.parquet`` beside it.
 
-``episodes.parquet`` is a function of the scenarios, the answers and the outcomes alone: the same bytes whatever the
-number of workers, the engine, a kill or a resume. All that may differ between equal runs is in ``timings.parquet``.
+``results.parquet`` is a function of the scenarios, the answers and the outcomes alone: the same bytes for any
+number of workers, any engine, and after a kill or a resume. All that may differ is in ``timings.parquet``.
 """
 
 from __future__ import annotations
@@ -22,9 +22,12 @@ from rema_data import grid
 from rema_data.schema import TASKS, Evidence, Failure, ObjectSpec, Scenario, StepOutcome
 
 __all__ = [
+    "TIMINGS_SCHEMA",
     "Verdict",
-    "episodes_schema",
-    "episodes_table",
+    "first_line",
+    "read_results",
+    "results_schema",
+    "results_table",
     "scenario_columns",
     "timings_table",
     "to_parquet",
@@ -39,8 +42,19 @@ _STEP_FIELDS: tuple[tuple[str, pa.DataType], ...] = (
     ("theta_rad", pa.float64()),
     ("success", pa.bool_()),
     ("failure", pa.string()),
-    *((item.name, _EVIDENCE_TYPES[str(item.type)]) for item in dataclasses.fields(Evidence)),
+    *((item.name, _EVIDENCE_TYPES[str(item.type).removesuffix(" | None")]) for item in dataclasses.fields(Evidence)),
 )
+TIMINGS_SCHEMA = pa.schema(
+    {
+        "index": pa.int32(),
+        "step": pa.int8(),
+        "seconds": pa.float64(),
+        "worker": pa.string(),
+        "segment": pa.int32(),
+        "attempt": pa.int8(),
+    }
+)
+_NAMED = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +90,8 @@ def verdict(index: int, steps: Sequence[int], records: Records) -> Verdict:
     return Verdict(True)
 
 
-def episodes_schema(task: str) -> pa.Schema:
-    """Columns of ``episodes.parquet`` and their types."""
+def results_schema(task: str) -> pa.Schema:
+    """Columns of the results table and their types."""
     text, real = pa.string(), pa.float64()
     fields = [("scenario", text), ("index", pa.int32()), ("task", text), ("split", text)]
     fields += [
@@ -95,7 +109,7 @@ def episodes_schema(task: str) -> pa.Schema:
 
 def scenario_columns(task: str) -> tuple[str, ...]:
     """Columns that follow from the scenario alone: those before the first step's."""
-    names = episodes_schema(task).names
+    names = results_schema(task).names
     return tuple(names[: names.index(f"step0_{_STEP_FIELDS[0][0]}")])
 
 
@@ -140,7 +154,7 @@ def _episode_row(scenario: Scenario, version: str, steps: Sequence[int], records
     return row
 
 
-def episodes_table(scenarios: ScenarioList, episodes: int, steps: Sequence[int], records: Records) -> pa.Table:
+def results_table(scenarios: ScenarioList, episodes: int, steps: Sequence[int], records: Records) -> pa.Table:
     """One row for each of the first ``episodes`` scenarios, in their order.
 
     Parameters
@@ -158,25 +172,80 @@ def episodes_table(scenarios: ScenarioList, episodes: int, steps: Sequence[int],
         (metres and radians in the world frame), outcome and evidence; ``success`` (null where not measured),
         ``failure``, ``failed_step``, ``sim_steps`` (sum over steps) and ``infra_error``.
     """
-    schema = episodes_schema(scenarios.task)
+    schema = results_schema(scenarios.task)
     chosen = scenarios.scenarios[:episodes]
     rows = [_episode_row(scenario, scenarios.version, steps, records) for scenario in chosen]
     return pa.Table.from_pydict({name: [row.get(name) for row in rows] for name in schema.names}, schema=schema)
 
 
+def read_results(payload: bytes, task: str) -> tuple[pa.Table | None, pa.Table | None, list[tuple[str, str]]]:
+    """A results table from the bytes of its file.
+
+    Parameters
+    ----------
+    payload : bytes
+    task : str
+
+    Returns
+    -------
+    table : pyarrow.Table or None
+        With the columns of ``results_schema``; those that the file is too old for are null. None where it cannot be
+        read.
+    stored : pyarrow.Table or None
+        Its columns as they are in the file.
+    problems : list of (str, str)
+        Column, empty for all, and what is wrong with it; empty where the table is good.
+    """
+    schema = results_schema(task)
+    broken = (pa.ArrowException, OSError, ValueError)
+    try:
+        file = pq.ParquetFile(io.BytesIO(payload))
+        names = list(file.schema_arrow.names)
+    except broken as error:
+        return None, None, [("", f"cannot be read: {first_line(error)}")]
+    later = {
+        f"step{step}_{item.name}"
+        for step in range(len(TASKS[task]))
+        for item in dataclasses.fields(Evidence)
+        if item.metadata["since"] > 1
+    }
+    lacking = [name for name in schema.names if name not in names and name not in later]
+    unknown = [name for name in names if name not in schema.names]
+    if lacking or unknown or len(set(names)) != len(names):
+        wrong = [f"lacks {name}" for name in lacking] + [f"has an unknown column {name}" for name in unknown]
+        return None, None, [("", "; ".join(wrong[:_NAMED]) or "has a column twice")]
+    columns, problems = [], []
+    for name in names:
+        try:
+            column = file.read(columns=[name]).column(0)
+            column.validate(full=True)
+        except broken as error:
+            problems.append((f"column {name}, all rows", f"cannot be read: {first_line(error)}"))
+            continue
+        if column.type != schema.field(name).type:
+            problems.append((f"column {name}", f"is {column.type}, not {schema.field(name).type}"))
+        columns.append(column)
+    if problems or len({len(column) for column in columns}) != 1:
+        return None, None, problems or [("", "has columns of different lengths")]
+    stored = pa.table(columns, names=names)
+    rows = stored.num_rows
+    absent = {name: pa.nulls(rows, schema.field(name).type) for name in schema.names if name not in names}
+    table = pa.table([absent[name] if name in absent else stored[name] for name in schema.names], schema=schema)
+    if rows == 0 or table["index"].to_pylist() != list(range(rows)):
+        problems.append(("", "does not have one row for every scenario from 0 on, in order"))
+    return table, stored, problems
+
+
+def first_line(error: BaseException) -> str:
+    """The first line of an error's message."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
+
+
 def timings_table(records: Records, episodes: int) -> pa.Table:
     """One row for each simulated step of the first ``episodes`` scenarios: seconds, worker, segment and attempt."""
     simulated = [records.outcomes[key] for key in sorted(records.outcomes) if key[0] < episodes]
-    columns = {
-        "index": pa.int32(),
-        "step": pa.int8(),
-        "seconds": pa.float64(),
-        "worker": pa.string(),
-        "segment": pa.int32(),
-        "attempt": pa.int8(),
-    }
-    content = {name: [getattr(record, name) for record in simulated] for name in columns}
-    return pa.Table.from_pydict(content, schema=pa.schema(columns))
+    content = {name: [getattr(record, name) for record in simulated] for name in TIMINGS_SCHEMA.names}
+    return pa.Table.from_pydict(content, schema=TIMINGS_SCHEMA)
 
 
 def to_parquet(table: pa.Table) -> bytes:

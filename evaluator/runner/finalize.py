@@ -1,4 +1,4 @@
-"""How a run ends, played here or merged from parts: its tables, its summary and its seal."""
+"""Finalize a run, played here or merged from shards: its tables, its summary and its seal."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from typing import Any
 import pyarrow as pa
 
 from evaluator.run.actions import actions_of, encode_actions
+from evaluator.run.counts import count_rows
 from evaluator.run.folder import TIMINGS_FILE, RunFolder
 from evaluator.run.merkle import merkle_root
 from evaluator.run.plan import Plan
 from evaluator.run.records import Ledger
 from evaluator.run.rows import row_leaves
-from evaluator.run.seal import ACTIONS_FILE, EPISODES_FILE, LEAVES_FILE, SUMMARY_FILE
+from evaluator.run.seal import ACTIONS_FILE, LEAVES_FILE, RESULTS_FILE, SUMMARY_FILE
 from evaluator.run.summary import summarise
-from evaluator.run.tables import episodes_table, timings_table, to_parquet
+from evaluator.run.tables import results_table, timings_table, to_parquet
 from evaluator.scenarios import ScenarioList
 
 __all__ = ["RunTables", "seal_run", "write_tables"]
@@ -28,25 +29,24 @@ class RunTables:
 
     Attributes
     ----------
-    episodes : pyarrow.Table
-        Rows of ``episodes.parquet``.
+    results : pyarrow.Table
     root : bytes
         Of the hash tree over the rows.
     files : dict
         Content by name of those that the seal is over.
     """
 
-    episodes: pa.Table
+    results: pa.Table
     root: bytes
     files: dict[str, bytes]
 
 
 def write_tables(folder: RunFolder, plan: Plan, scenarios: ScenarioList, ledger: Ledger) -> RunTables:
     """Write everything that follows from the records: rows, actions, leaves of the hash tree, timings."""
-    table = episodes_table(scenarios, len(plan.scenarios), plan.steps, ledger)
+    table = results_table(scenarios, len(plan.scenarios), plan.steps, ledger)
     leaves = row_leaves(table)
     files = {
-        EPISODES_FILE: to_parquet(table),
+        RESULTS_FILE: to_parquet(table),
         ACTIONS_FILE: encode_actions(actions_of(table, plan.steps)),
         LEAVES_FILE: b"".join(leaves),
     }
@@ -78,7 +78,9 @@ def seal_run(
     stopped_early : dict, optional
         Why a run that has no rank stopped.
     """
-    summary = summarise(plan, ledger, tables.episodes, folder.header, tables.root, audit)
+    summary = summarise(
+        plan, ledger, count_rows(tables.results, plan.steps), tables.results, folder.header, tables.root, audit
+    )
     if stopped_early is not None:
         summary["stopped_early"] = stopped_early
     payload = (json.dumps(summary, indent=2) + "\n").encode()

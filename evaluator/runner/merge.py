@@ -1,4 +1,4 @@
-"""Several runs over parts of the scenarios, put together to the one run that they are parts of.
+"""Merge several runs over parts of the scenarios to the one run that they are parts of.
 
 A part is a run folder like any other, whose other episodes have no result. Merging takes its records, not its tables:
 the tables of the whole are made from all records as those of a single run are, and so are the same bytes.
@@ -53,7 +53,7 @@ class _Part:
 
 
 def merge_runs(parts: Sequence[Path], output: Path) -> EvaluationResult:
-    """Put runs over parts of one scenario list together.
+    """Merge runs over parts of one scenario list.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def merge_runs(parts: Sequence[Path], output: Path) -> EvaluationResult:
         except InfrastructureError as error:
             if not records.contradictions:
                 command = resume_command(read_header(output)[0], output)
-                error.hint = f"evaluate into the merged run, which tries them once more: {command}"
+                error.hint = f"evaluate into the merged run, which tries them again: {command}"
             raise
         return EvaluationResult(output, summary)
 
@@ -117,7 +117,7 @@ def _distinct(parts: Sequence[Path]) -> list[Path]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[_Part]:
-    """A part that nobody is writing in meanwhile."""
+    """A part, locked against writers."""
     header, _ = read_header(path)
     with locked(path, "wait for it", only_reading=True):
         yield _Part(RunFolder(path, header))
@@ -188,7 +188,7 @@ def _staged(output: Path) -> Iterator[Path]:
 
 
 def _copy_records(parts: Sequence[_Part], folder: RunFolder) -> None:
-    """The journals of all parts, audits included, with their segments numbered anew."""
+    """The journals of all parts, audits included, with their segments renumbered."""
     segments: list[dict[str, Any]] = []
     for part in parts:
         numbers = {}
@@ -217,7 +217,7 @@ def _finish(
     """Tables, summary and seal of the whole run; its summary and records."""
     with closing(Ledger(folder.records, folder.segment)) as ledger:
         tables = write_tables(folder, plan, scenarios, ledger)
-        if left := unfinished(plan, tables.episodes):
+        if left := unfinished(plan, tables.results):
             raise _incomplete(left, len(plan.scenarios), parts)
         for part in parts:
             if "seal" not in part.header:

@@ -1,4 +1,4 @@
-"""A first look at a policy: scenarios in the order of the list, until they tell it from a run of another one.
+"""A first look at a policy: scenarios in the order of the list, until it is better or worse than a run of another.
 
 The run grows in steps, in one folder; at each the pairs so far are tested by a sequence that may be looked at as often
 as one likes (``evaluator.statistics.sequential``). Such a run has no rank: evaluated again without a look, it goes on.
@@ -13,10 +13,10 @@ from typing import Any
 
 import pyarrow as pa
 
-from evaluator.leaderboard.comparison import paired_outcomes
 from evaluator.rollout.backend import Backend, default_backend
 from evaluator.run.header import RUN_FILE, read_header
-from evaluator.run.scored import ScoredRun, read_run
+from evaluator.run.reading import read_run
+from evaluator.run.run import Run
 from evaluator.run.seal import SUMMARY_FILE
 from evaluator.runner.config import EvaluationConfig, EvaluationResult
 from evaluator.runner.run import run_evaluation
@@ -60,13 +60,13 @@ def quick_evaluation(
         The other run does not compare: it is of another task, split, protocol, version of the protocol, or scenario
         list. Or the folder holds a run to the end, which a look would take its rank.
     MissingFileError
-        The other run has no outcomes.
+        The other run is not finished.
     RemaError
         As ``run_evaluation``.
     """
     backend = backend or default_backend()
     reference = read_run(against)
-    theirs = paired_outcomes(reference)
+    theirs = reference.outcomes
 
     def look(rows: pa.Table) -> dict[str, Any]:
         test = QuickLook()
@@ -80,11 +80,11 @@ def quick_evaluation(
     recorded = read_header(config.output)[0]["episodes"] if (config.output / RUN_FILE).exists() else 0
     if (config.output / SUMMARY_FILE).exists() and not read_run(config.output).stopped_early:
         raise InputError(
-            f"{config.output} holds a run that was no quick look",
+            f"{config.output} holds a run that is not a quick look",
             hint=f"compare the two: rema compare {config.output} {against}; or choose another folder with --output",
             path=str(config.output),
         )
-    last = min(config.episodes, max(len(theirs.played), recorded))  # beyond that there is nothing to compare with
+    last = min(config.episodes, max(len(theirs.success), recorded))  # beyond that there is nothing to compare with
     for episodes in _lengths(min(max(FIRST_LOOK, recorded), last), last):
         result = run_evaluation(
             replace(config, episodes=episodes, audit_share=0.0), progress, backend=backend, look=look
@@ -94,7 +94,7 @@ def quick_evaluation(
     return result
 
 
-def _check_reference(reference: ScoredRun, config: EvaluationConfig, backend: Backend) -> None:
+def _check_reference(reference: Run, config: EvaluationConfig, backend: Backend) -> None:
     """Raise before anything is played where the two runs will not compare."""
     listed = load_list(config.task, config.split)
     mine = {
@@ -108,8 +108,8 @@ def _check_reference(reference: ScoredRun, config: EvaluationConfig, backend: Ba
         "task": reference.task,
         "split": reference.split,
         "protocol": reference.protocol,
-        "protocol_hash": reference.marks.protocol_hash,
-        "scenarios_hash": reference.marks.scenarios_hash,
+        "protocol_hash": reference.provenance.protocol_hash,
+        "scenarios_hash": reference.provenance.scenarios_hash,
     }
     for field, value in mine.items():
         if theirs[field] != value:

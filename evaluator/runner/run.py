@@ -150,7 +150,7 @@ class _Run:
             self.seconds["total"] = time.perf_counter() - self.start
             rounded = {phase: round(seconds, 3) for phase, seconds in self.seconds.items()}
             self.folder.note_segment(seconds=rounded, finished=self._finished() - done)
-        stopped_early = None if self.look is None else self.look(tables.episodes)
+        stopped_early = None if self.look is None else self.look(tables.results)
         summary = seal_run(self.folder, self.plan, self.ledger, tables, audit, stopped_early)
         shutil.rmtree(self.own_cache, ignore_errors=True)
         if failed is not None:

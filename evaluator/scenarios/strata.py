@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from evaluator.scenarios import load_list
-from rema_data.errors import IntegrityError
 from rema_data.schema import Shape
 
-__all__ = ["Stratum", "Targets", "strata", "targets_of_list", "targets_of_run"]
+__all__ = ["Stratum", "Targets", "strata", "targets_of_list"]
 
 QUARTILES = (0.25, 0.5, 0.75)
 YAW_BINS = 8
@@ -75,29 +73,6 @@ def targets_of_list(task: str, split: str) -> Targets:
         np.array([placement.spec.width_m for placement in placements]),
         np.array([placement.yaw_rad for placement in placements]),
     )
-
-
-def targets_of_run(folder: Path) -> Targets:
-    """Targets as the ``episodes.parquet`` of a run has them.
-
-    Raises
-    ------
-    IntegrityError
-        The file cannot be read or lacks a column.
-    """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    path = folder / "episodes.parquet"
-    names = [f"target_{name}" for name in ("shape", "length_m", "width_m", "yaw_rad")]
-    try:
-        table = pq.read_table(path, columns=names)
-        shape, *numbers = (table[name].to_numpy() for name in names)
-        return Targets(shape.astype(str), *(column.astype(np.float64) for column in numbers))
-    except (pa.ArrowException, KeyError, OSError, ValueError) as error:
-        reason = str(error).splitlines()[0]
-        hint = "evaluate the policy again"
-        raise IntegrityError(f"{path} cannot be read: {reason}", hint=hint, path=str(path)) from error
 
 
 def strata(targets: Targets) -> list[Stratum]:

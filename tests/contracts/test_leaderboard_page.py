@@ -23,7 +23,7 @@ POLICIES = ("random", "scripted", "tae-separate", "tae-joint")
 
 def test_every_entry_of_the_repository_is_whole_and_the_only_one_of_its_name() -> None:
     assert (ENTRIES / "README.md").is_file()
-    found = [read_entry(path).run for path in find_entries()]
+    found = [read_entry(path) for path in find_entries()]
     assert sorted(ENTRIES.glob("*.json")) == [run.source for run in found]
     names = [f"{run.policy}-{run.task}-{run.protocol}.json" for run in found]
     assert names == [run.source.name for run in found]
@@ -39,7 +39,7 @@ def test_the_board_has_the_four_rows_of_the_papers_table_in_every_task() -> None
     tasks = [task for task in TASKS if task != "grasp_grasp_push"]  # which the paper does not score
     wanted = {(policy, task, "conditional") for policy in POLICIES for task in tasks}
     wanted |= {(policy, task, "end-to-end") for policy in POLICIES for task in tasks if len(TASKS[task]) > 1}
-    runs = {(run.policy, run.task, run.protocol): run for run in (read_entry(path).run for path in find_entries())}
+    runs = {(run.policy, run.task, run.protocol): run for run in (read_entry(path) for path in find_entries())}
     assert wanted <= runs.keys()
     for key in wanted:
         assert runs[key].counts.episodes == 10_000 and obstacles(runs[key]) == [], key

@@ -39,7 +39,7 @@ def test_the_main_job(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout)
     assert summary["eligible"] == summary["episodes"] == 12
-    assert {"run.json", "episodes.parquet", "timings.parquet", "summary.json"} <= {
+    assert {"run.json", "results.parquet", "timings.parquet", "summary.json"} <= {
         path.name for path in (tmp_path / "run").iterdir()
     }
     table = rema("leaderboard", "run", cwd=tmp_path, PYTHONPATH=str(ROOT))

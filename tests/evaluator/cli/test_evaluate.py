@@ -115,9 +115,9 @@ def test_what_there_is_to_trust_a_result_is_shown(recorder: Recorder) -> None:
     recorder.summary = make_summary(isolation="L2", audit=audit, stopped_early=look, unfinished=5)
     shown = " ".join(rema("evaluate", "random", "--task", "grasp").stdout.split())
     for words in (
-        "isolation L2",
-        "3 of 100 actions came out otherwise (at most 8.5 %)",
-        "0 of 100 outcomes came out otherwise (at most 3.6 %)",
+        "sandbox L2",
+        "100 actions asked for again: 3 differed (95 % upper bound 8.5 %)",
+        "100 outcomes simulated again: 0 differed (95 % upper bound 3.6 %)",
         "2 could not be repeated",
         "better than scripted on 200 scenarios: the difference is in +2.0 .. +31.0 points",
         "no rank",

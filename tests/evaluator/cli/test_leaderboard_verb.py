@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from click.testing import CliRunner, Result
 from evaluator.cli.main import cli
 from evaluator.leaderboard.submission import make_entry
 from evaluator.run.entry import encode
-from tests.evaluator.runs import EPISODES, solved, write_manifests, write_run
+from tests.evaluator.runs import EPISODES, reseal, solved, write_manifests, write_run
 
 Write = Callable[..., Path]
 
@@ -111,10 +112,18 @@ def test_bad_runs(write: Write, tmp_path: Path) -> None:
     broken = write("broken", solved(0.7, 2))
     for content in ("{", "[]", "{}", '{"task": "grasp"}'):
         (broken / "summary.json").write_text(content)
-        assert board(broken).exit_code == 2
-    result = board(write("odd", solved(0.5, 1), protocol_hash=3, policy="\x1b[2J"))
-    assert result.exit_code == 2 and "policy name" in result.stderr and "\x1b" not in result.stderr
-    summary = json.loads((tmp_path / "runs" / "odd" / "summary.json").read_text())
-    (tmp_path / "runs" / "odd" / "summary.json").write_text(json.dumps({**summary, "task": "fly"}))
-    result = board(tmp_path / "runs" / "odd")
-    assert result.exit_code == 2 and "unknown task 'fly'" in result.stderr and "Traceback" not in result.stderr
+        result = board(broken)
+        assert result.exit_code == 6 and "summary.json is not what was sealed" in result.stderr
+        header = json.loads((broken / "run.json").read_text())
+        unsealed = tmp_path / "runs" / "unsealed"
+        shutil.copytree(broken, unsealed)
+        del header["seal"]
+        (unsealed / "run.json").write_text(json.dumps(header))
+        result = board(unsealed)
+        assert result.exit_code == 2 and "is not the summary of a run" in result.stderr
+        shutil.rmtree(unsealed)
+    odd = reseal(write("odd", solved(0.5, 1)), protocol_hash=3, policy="\x1b[2J", task="fly")
+    result = board(odd)
+    assert result.exit_code == 6 and "\x1b" not in result.stderr and "Traceback" not in result.stderr
+    said = " ".join(result.stderr.split())
+    assert 'task says "fly", run.json gives "grasp"' in said and "protocol_hash says 3" in said

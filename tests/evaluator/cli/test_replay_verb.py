@@ -77,7 +77,7 @@ def test_another_simulator(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_what_is_no_finished_run(run: Path, tmp_path: Path) -> None:
     nothing = rema("replay", str(tmp_path / "nothing"))
-    assert nothing.exit_code == 2 and "holds no run" in nothing.stderr
+    assert nothing.exit_code == 2 and "holds no finished run" in nothing.stderr
     (run / "run.json").write_text("{")
     assert replay().exit_code == 6
     assert rema("replay", "run", "--fraction", "2").exit_code == 2

@@ -87,10 +87,10 @@ def test_bad_input_is_refused_in_a_sentence(arguments: tuple[str, ...], sentence
 
 
 def test_a_damaged_run_is_a_mismatch(run: Path) -> None:
-    (run / "episodes.parquet").write_bytes(b"not a table")
+    (run / "results.parquet").write_bytes(b"not a table")
     result = report(str(run))
     assert result.exit_code == 6
-    assert "episodes.parquet" in result.stderr and "evaluate the policy again" in result.stderr
+    assert "results.parquet" in result.stderr and "evaluate the policy again" in result.stderr
 
 
 @pytest.mark.parametrize("missing", ["PIL", "jinja2", "matplotlib"])

@@ -32,7 +32,7 @@ def test_an_entry_is_written_and_read_by_the_leaderboard(run: Path) -> None:
     assert result.exit_code == 0, result.stderr
     path = Path("ours-grasp-conditional.json")
     assert f"entry: {path}" in result.stdout and "checks passed" in result.stdout
-    assert read_entry(path).run.counts.successes == PASSED.sum()
+    assert read_entry(path).counts.successes == PASSED.sum()
     table = CliRunner().invoke(cli, ["leaderboard", str(path), "--no-published", "--json"])
     (row,) = json.loads(table.stdout)["rows"]
     assert (row["policy"], row["rank"], row["link"]) == ("ours", 1, "https://example.org")

@@ -45,10 +45,10 @@ def test_a_built_in_is_scored_resumed_and_extended(world: Path) -> None:
     assert first.exit_code == 0, first.stderr
     summary = json.loads(first.stdout)
     assert (summary["policy"], summary["eligible"], summary["policy_errors"]) == ("random", 150, 0)
-    table = (world / "runs/random-grasp-conditional/episodes.parquet").read_bytes()
+    table = (world / "runs/random-grasp-conditional/results.parquet").read_bytes()
     again = evaluate("random")
     assert "resumed at 150/150" in again.stderr and "(95 %)" in again.stdout
-    assert (world / "runs/random-grasp-conditional/episodes.parquet").read_bytes() == table
+    assert (world / "runs/random-grasp-conditional/results.parquet").read_bytes() == table
     assert json.loads(evaluate("random", "--json", episodes=200).stdout)["eligible"] == 200
 
 

@@ -124,7 +124,7 @@ def test_table_of_a_run_whose_machine_is_killed(cluster: Any, machine: Any, fake
     result = run_evaluation(config, killer, backend=fake_backend(simulator=CLUSTER_SIMULATOR))
     assert killer.done and any("was redone" in note for note in killer.notes)
     assert result.summary["infra_errors"] == 0
-    tables = [(fake_home / name / "episodes.parquet").read_bytes() for name in ("process", "ray")]
+    tables = [(fake_home / name / "results.parquet").read_bytes() for name in ("process", "ray")]
     assert tables[0] == tables[1]
     order()
     report = replay(
@@ -144,7 +144,7 @@ def test_the_real_world_on_a_machine_that_is_killed(
             resolve("scripted"), "grasp", tmp_path / engine, episodes=300, engine=engine, workers=2
         )
         run_evaluation(config, sink)
-        tables.append((tmp_path / engine / "episodes.parquet").read_bytes())
+        tables.append((tmp_path / engine / "results.parquet").read_bytes())
     assert killer.done and any("was redone" in note for note in killer.notes)
     assert tables[0] == tables[1]
 

@@ -71,7 +71,7 @@ def evaluated(task: str, protocol: str, folder: Path, episodes: int = 6) -> list
         resolve("scripted"), task, folder, protocol=protocol, split="val", episodes=episodes, engine="inline"
     )
     run_evaluation(config)
-    rows: list[dict[str, Any]] = pq.read_table(folder / "episodes.parquet").to_pylist()
+    rows: list[dict[str, Any]] = pq.read_table(folder / "results.parquet").to_pylist()
     return rows
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from itertools import combinations
 from pathlib import Path
@@ -103,7 +104,7 @@ def test_privileged_rows_have_letters_but_neither_take_nor_give_a_rank(write: Wr
         ({"unfinished": 5}, "5 episodes not finished"),
         ({"nondeterministic": 1}, "steps with two outcomes"),
         ({"audit": {**AUDIT, "outcome_flips": 2}}, "2 of 30 repeated outcomes flipped"),
-        ({"audit": {**AUDIT, "action_flips": 9}}, "9 of 30 repeated questions answered otherwise"),
+        ({"audit": {**AUDIT, "action_flips": 9}}, "9 of 30 repeated answers differed"),
         ({"audit": None}, "never repeated"),
     ],
 )
@@ -120,10 +121,21 @@ def test_short_runs_have_no_rank(write: Write) -> None:
     assert rows(board)["short"].unranked == f"40 of {EPISODES} scenarios"
 
 
-def test_a_summary_alone_has_no_rank(write: Write) -> None:
+def test_a_summary_alone_is_not_a_run(write: Write) -> None:
     folder = write("mine", solved(0.5, 1))
-    (folder / "episodes.parquet").unlink()
-    assert rows(leaderboard([folder]))["mine"].unranked == "no outcomes by scenario"
+    (folder / "results.parquet").unlink()
+    with pytest.raises(MissingFileError, match=r"results\.parquet does not exist"):
+        leaderboard([folder])
+
+
+def test_an_edited_summary_of_a_sealed_run_is_refused(write: Write) -> None:
+    folder, other = write("mine", solved(0.5, 1)), write("other", solved(0.4, 2))
+    summary = json.loads((folder / "summary.json").read_text())
+    (folder / "summary.json").write_text(json.dumps({**summary, "nondeterministic": 0, "isolation": "L3"}))
+    board = leaderboard([folder, other], published=False)
+    assert [row.policy for row in board.rows] == ["other"]
+    (error,) = board.refused
+    assert error.exit_code == 6 and "summary.json is not what was sealed" in error.message
 
 
 def test_a_rank_that_hangs_on_lost_episodes_is_none(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -199,7 +211,7 @@ def test_an_empty_board_has_the_papers_rows() -> None:
 
 def test_a_source_that_cannot_be_read_is_left_out_and_named(write: Write) -> None:
     good, damaged, unfinished = (write(name, solved(0.5, 1)) for name in ("good", "damaged", "unfinished"))
-    (damaged / "episodes.parquet").write_bytes(b"nothing")
+    (damaged / "results.parquet").write_bytes(b"nothing")
     (unfinished / "summary.json").unlink()
     board = leaderboard([damaged, good, unfinished], published=False)
     assert [row.policy for row in board.rows] == ["good"]
@@ -209,6 +221,6 @@ def test_a_source_that_cannot_be_read_is_left_out_and_named(write: Write) -> Non
         leaderboard([damaged, unfinished])
 
 
-def test_the_walls_around_a_policy_are_shown(write: Write) -> None:
+def test_the_sandbox_of_a_policy_is_shown(write: Write) -> None:
     board = leaderboard([write("mine", solved(0.5, 1), isolation="L2")], published=False)
     assert rows(board)["mine"].isolation == "L2"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +12,8 @@ import pytest
 
 from evaluator.leaderboard.comparison import compare
 from evaluator.leaderboard.submission import make_entry
-from evaluator.run.counts import tally
-from evaluator.run.entry import encode, read_scored
-from evaluator.run.scored import read_run
-from evaluator.run.tables import to_parquet
+from evaluator.run.entry import encode
+from evaluator.run.reading import read_run
 from evaluator.statistics import detectable_difference, midp_mcnemar, pair_table, paired_interval
 from rema_data.errors import InputError, IntegrityError, MissingFileError
 from tests.evaluator.runs import EPISODES, FINGERPRINT, solved, write_manifests, write_run
@@ -67,8 +65,8 @@ def test_entries_compare_like_their_runs(tmp_path: Path, a: Path, b: Path) -> No
     for folder in (a, b):
         paths.append(tmp_path / f"{folder.name}.json")
         paths[-1].write_bytes(encode(make_entry(folder)))
-    whole, packed = compare(read_run(a), read_run(b)), compare(*map(read_scored, paths))
-    mixed = compare(read_run(a), read_scored(paths[1]))
+    whole, packed = compare(read_run(a), read_run(b)), compare(*map(read_run, paths))
+    mixed = compare(read_run(a), read_run(paths[1]))
     for found in (packed, mixed):
         assert found.table == whole.table and found.only_a == whole.only_a
         assert [(row.by, row.label, row.table) for row in found.strata] == [
@@ -81,7 +79,7 @@ def test_entries_of_another_list_have_no_breakdown(tmp_path: Path, a: Path, monk
     path.write_bytes(encode(make_entry(a)))
     write_manifests(tmp_path / "elsewhere", tasks=("grasp_push",))
     monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "elsewhere"))
-    found = compare(read_scored(path), read_scored(path))
+    found = compare(read_run(path), read_run(path))
     assert found.strata == () and any("No breakdown" in remark for remark in found.remarks)
 
 
@@ -124,20 +122,16 @@ def test_a_shorter_run_is_compared_where_it_can_be(tmp_path: Path, a: Path) -> N
     assert any("stopped early" in remark for remark in found.remarks)
 
 
-def test_shards_are_compared_on_the_scenarios_that_they_played(tmp_path: Path, a: Path) -> None:
-    """The rows of every third scenario, as a machine that does a part of a run has them."""
-    part = np.arange(EPISODES) % 3 == 1
-    folder = write_run(tmp_path / "b", B)
-    table = pq.read_table(folder / "episodes.parquet").filter(pa.array(part))
-    (folder / "episodes.parquet").write_bytes(to_parquet(table))
-    summary = json.loads((folder / "summary.json").read_text())
-    (folder / "summary.json").write_text(json.dumps({**summary, **tally(table, (0,))}))
+def test_scenarios_that_a_shard_did_not_play_are_left_out(tmp_path: Path, a: Path) -> None:
+    """The rows of a machine that does a part of a run: the others have no result."""
+    part = np.arange(EPISODES) < 90
+    folder = write_run(tmp_path / "b", B, unplayed=~part, unfinished=EPISODES - 90)
     found = compare(read_run(a), read_run(folder))
     assert found.table == pair_table(A, B, part)
     assert found.only_a == tuple(np.flatnonzero(A & ~B & part))
-    assert [remark for remark in found.remarks if "differ in length" in remark] == list(found.remarks)
+    assert [remark.partition(":")[0] for remark in found.remarks] == ["210 scenarios are left out", str(folder)]
     both = compare(read_run(folder), read_run(folder))
-    assert both.table.n == part.sum() and sum(row.table.n for row in both.strata if row.by == "shape") == part.sum()
+    assert both.table.n == part.sum() == sum(row.table.n for row in both.strata if row.by == "shape")
 
 
 def test_lost_episodes_are_left_out_and_named(tmp_path: Path, a: Path) -> None:
@@ -156,22 +150,32 @@ def test_a_run_that_was_stopped_is_no_fair_sample(tmp_path: Path, a: Path) -> No
     assert any("12 of its episodes were not finished" in remark for remark in found.remarks)
 
 
-@pytest.mark.parametrize("changes", [{"eligible": float("inf")}, {"fingerprint": "abc"}])
-def test_a_summary_that_is_none_is_refused(tmp_path: Path, changes: dict[str, object]) -> None:
-    with pytest.raises(InputError, match="is not the summary of a run"):
+@pytest.mark.parametrize(
+    ("changes", "kind", "message"),
+    [
+        ({"eligible": float("inf")}, IntegrityError, "eligible says Infinity, results.parquet gives 300"),
+        ({"fingerprint": "abc"}, IntegrityError, 'fingerprint says "abc", run.json gives {'),
+        ({"nondeterministic": "0"}, InputError, "is not the summary of a run: nondeterministic is '0'"),
+        ({"audit": {"actions": 1}}, InputError, "is not the summary of a run: audit.action_flips is missing"),
+    ],
+)
+def test_a_summary_of_something_else_is_refused(
+    tmp_path: Path, changes: dict[str, object], kind: type[Exception], message: str
+) -> None:
+    with pytest.raises(kind, match=re.escape(message)):
         read_run(write_run(tmp_path / "b", B, **changes))
 
 
 def test_a_table_of_other_types_is_refused(b: Path) -> None:
-    table = pq.read_table(b / "episodes.parquet")
+    table = pq.read_table(b / "results.parquet")
     place = table.column_names.index("success")
     texts = pa.array([str(value) for value in table["success"].to_pylist()])
-    pq.write_table(table.set_column(place, "success", texts), b / "episodes.parquet")
+    pq.write_table(table.set_column(place, "success", texts), b / "results.parquet")
     with pytest.raises(IntegrityError, match="column success is string, not bool"):
         read_run(b)
 
 
-def test_a_run_without_its_table_cannot_be_paired(a: Path, b: Path) -> None:
-    (b / "episodes.parquet").unlink()
-    with pytest.raises(MissingFileError, match="outcomes by scenario"):
+def test_a_run_without_its_table_cannot_be_compared(a: Path, b: Path) -> None:
+    (b / "results.parquet").unlink()
+    with pytest.raises(MissingFileError, match=r"results\.parquet does not exist"):
         compare(read_run(a), read_run(b))

@@ -12,7 +12,8 @@ import pytest
 
 from evaluator.leaderboard import Board, Row
 from evaluator.leaderboard.export import COLUMNS, cells, export, matrix
-from evaluator.run.scored import Audit, FunnelStep
+from evaluator.run.counts import FunnelStep
+from evaluator.run.summary import Audit
 
 HOSTILE = "a|b<script>&\\_%$#{x}^~"
 ROW = Row(

@@ -65,7 +65,7 @@ def sealed(fake_home: Path, write_policy: WritePolicy) -> Any:
     def evaluate(name: str, sink: Silent | None = None) -> bytes:
         config = fake_config(fake_home / name, episodes=16 * BATCHES, batch_size=16, engine="inline", audit_share=0.0)
         run_evaluation(config, sink, backend=backend)
-        return b"".join((fake_home / name / file).read_bytes() for file in ("episodes.parquet", "actions.bin"))
+        return b"".join((fake_home / name / file).read_bytes() for file in ("results.parquet", "actions.bin"))
 
     return evaluate
 

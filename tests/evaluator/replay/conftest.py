@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,12 +10,6 @@ from typing import Any
 import pyarrow as pa
 import pytest
 
-from evaluator.run.actions import actions_of, encode_actions
-from evaluator.run.header import encode_header
-from evaluator.run.merkle import merkle_root
-from evaluator.run.rows import row_leaves
-from evaluator.run.seal import ACTIONS_FILE, EPISODES_FILE, LEAVES_FILE, SUMMARY_FILE, make_seal
-from evaluator.run.tables import to_parquet
 from evaluator.runner import run_evaluation
 from tests.evaluator.fakes import FakePolicyProcess, fake_backend, fake_config, write_fake_list
 
@@ -48,25 +41,6 @@ def copy_of(home: Path, tmp_path: Path) -> Callable[[str], Path]:
         return shutil.copytree(home / name, tmp_path / name)
 
     return copy
-
-
-def seal_anew(run: Path, table: pa.Table, **summary_changes: Any) -> None:
-    """What a forger does who knows the format: new rows, and everything that hangs on them made to fit."""
-    header = json.loads((run / "run.json").read_text())
-    steps = header["seal"]["steps"]
-    leaves = row_leaves(table)
-    root = merkle_root(leaves)
-    summary = {**json.loads((run / SUMMARY_FILE).read_text()), "merkle_root": root.hex(), **summary_changes}
-    files = {
-        EPISODES_FILE: to_parquet(table),
-        ACTIONS_FILE: encode_actions(actions_of(table, steps)),
-        LEAVES_FILE: b"".join(leaves),
-        SUMMARY_FILE: (json.dumps(summary, indent=2) + "\n").encode(),
-    }
-    for name, content in files.items():
-        (run / name).write_bytes(content)
-    header["seal"] = make_seal(header, files, root=root, steps=steps, unfinished=0)
-    (run / "run.json").write_text(encode_header(header))
 
 
 def with_value(table: pa.Table, column: str, row: int, value: Any) -> pa.Table:

@@ -20,8 +20,8 @@ from filelock import FileLock
 
 from evaluator.replay import ReplayReport, replay, sign
 from evaluator.run.actions import POLICY_ERROR, decode_actions
-from evaluator.run.check import read_evidence
-from evaluator.run.counts import tally
+from evaluator.run.counts import count_rows, summary_numbers
+from evaluator.run.reading import read_run
 from evaluator.runner import run_evaluation
 from evaluator.scenarios import VERSION
 from evaluator.statistics import clopper_pearson
@@ -42,8 +42,9 @@ from tests.evaluator.fakes import (
     scenario_number,
     write_fake_list,
 )
+from tests.evaluator.runs import reseal
 
-from .conftest import EPISODES, LONG, seal_anew, with_value
+from .conftest import EPISODES, LONG, with_value
 
 Copy = Callable[[str], Path]
 
@@ -82,14 +83,14 @@ def test_the_workers_engine_confirms_the_inline_run(home: Path) -> None:
 
 
 def test_policy_errors_are_in_the_log_and_are_replayed(home: Path) -> None:
-    evidence = read_evidence(home / "short")
-    assert evidence.actions is not None and evidence.summary is not None
-    assert int((evidence.actions == POLICY_ERROR).sum()) == evidence.summary["policy_errors"] > 0
+    run = read_run(home / "short", with_findings=True)
+    assert run.folder.actions is not None
+    assert int((run.folder.actions == POLICY_ERROR).sum()) == run.summary["policy_errors"] > 0
 
 
 def test_end_to_end_every_step_is_played_from_the_log(home: Path) -> None:
     log = decode_actions((home / "long" / "actions.bin").read_bytes(), EPISODES, 4)
-    table = pq.read_table(home / "long" / "episodes.parquet")
+    table = pq.read_table(home / "long" / "results.parquet")
     assert log is not None
     for step in range(4):
         recorded = table.column(f"step{step}_action").to_pylist()
@@ -122,12 +123,12 @@ def test_a_false_row_is_found_though_everything_is_sealed_anew(
     copy_of: Copy, column: str, change: Callable[[Any], Any]
 ) -> None:
     run = copy_of("short")
-    table = pq.read_table(run / "episodes.parquet")
+    table = pq.read_table(run / "results.parquet")
     forged = with_value(table, column, 60, change(table.column(column)[60].as_py()))
-    seal_anew(run, forged, **tally(forged, (0,)))
-    assert read_evidence(run).findings == ()
+    reseal(run, forged, **summary_numbers(count_rows(forged, (0,)), forged))
+    assert read_run(run).seal_state == "whole"
     report = play(run)
-    assert [finding.file for finding in report.findings] == ["episodes.parquet"]
+    assert [finding.file for finding in report.findings] == ["results.parquet"]
     assert report.findings[0].where == f"row 60 ({VERSION}/grasp/test/00060)"
     assert column in report.findings[0].detail
     assert report.different_rows == 1 and report.different_ci95 == (1 / EPISODES, 1 / EPISODES)
@@ -135,12 +136,12 @@ def test_a_false_row_is_found_though_everything_is_sealed_anew(
 
 def test_a_forged_sample_is_caught_with_the_rate_it_was_forged(copy_of: Copy) -> None:
     run = copy_of("short")
-    table = pq.read_table(run / "episodes.parquet")
+    table = pq.read_table(run / "results.parquet")
     failed = [row for row, success in enumerate(table.column("success").to_pylist()) if not success]
     for row in failed:
         for column, value in (("success", True), ("failure", None), ("failed_step", None)):
             table = with_value(table, column, row, value)
-    seal_anew(run, table, **tally(table, (0,)))
+    reseal(run, table, **summary_numbers(count_rows(table, (0,)), table))
     report = play(run, fraction=0.5, seed=3)
     low, high = report.different_ci95
     assert low <= len(failed) / EPISODES <= high
@@ -149,24 +150,24 @@ def test_a_forged_sample_is_caught_with_the_rate_it_was_forged(copy_of: Copy) ->
 
 def test_a_false_statistic_is_found_though_it_is_sealed_anew(copy_of: Copy) -> None:
     run = copy_of("short")
-    table = pq.read_table(run / "episodes.parquet")
-    seal_anew(run, table, success_rate=0.99, policy="better")
+    table = pq.read_table(run / "results.parquet")
+    reseal(run, table, success_rate=0.99, policy="better")
     found = {finding.where: finding.detail for finding in play(run, fraction=0).findings}
     assert set(found) == {"success_rate", "policy"}
-    assert found["success_rate"].startswith("says 0.99, episodes.parquet gives 0.")
+    assert found["success_rate"].startswith("says 0.99, results.parquet gives 0.")
 
 
 def test_the_last_bits_of_an_interval_are_another_machines(copy_of: Copy) -> None:
     run = copy_of("short")
     ends = json.loads((run / "summary.json").read_text())["ci95"]
-    seal_anew(run, pq.read_table(run / "episodes.parquet"), ci95=[math.nextafter(end, 1) for end in ends])
+    reseal(run, pq.read_table(run / "results.parquet"), ci95=[math.nextafter(end, 1) for end in ends])
     assert play(run, fraction=0).findings == ()
 
 
 def test_an_action_that_may_not_be_taken_is_found(copy_of: Copy) -> None:
     run = copy_of("short")
-    table = with_value(pq.read_table(run / "episodes.parquet"), "step0_action", 9, 5)
-    seal_anew(run, table)
+    table = with_value(pq.read_table(run / "results.parquet"), "step0_action", 9, 5)
+    reseal(run, table)
     places = {(finding.file, finding.where) for finding in play(run).findings}
     assert ("actions.bin", f"row 9 ({VERSION}/grasp/test/00009), step 0") in places
 
@@ -194,7 +195,7 @@ def test_another_simulator_gives_flips_and_no_findings(home: Path, monkeypatch: 
     other = fake_backend(simulator="tests.evaluator.replay.test_replay:OtherSimulator")
     report = play(home / "short", backend=other)
     assert report.ok and report.differences == {"parameters": ("p", "other")}
-    rows = pq.read_table(home / "short" / "episodes.parquet").to_pylist()
+    rows = pq.read_table(home / "short" / "results.parquet").to_pylist()
     asked = [row for row in rows if row["step0_action"] is not None]
     assert report.different_rows == len(asked)
     assert report.flips == sum(row["index"] % 10 == 5 for row in asked) > 0
@@ -249,7 +250,7 @@ def test_an_interrupted_run_names_the_command_that_goes_on(home: Path, tmp_path:
 def test_a_run_without_a_seal_gets_one_from_its_records(copy_of: Copy) -> None:
     """Run folders of before there were seals: the same command again, and nothing is asked or simulated."""
     run = copy_of("long")
-    before = (run / "episodes.parquet").read_bytes(), (run / "actions.bin").read_bytes()
+    before = (run / "results.parquet").read_bytes(), (run / "actions.bin").read_bytes()
     header = json.loads((run / "run.json").read_text())
     del header["seal"]
     (run / "run.json").write_text(json.dumps(header, indent=2))
@@ -262,7 +263,7 @@ def test_a_run_without_a_seal_gets_one_from_its_records(copy_of: Copy) -> None:
     config = fake_config(run, LONG, protocol="end-to-end", episodes=EPISODES, engine="inline", audit_share=0.0)
     run_evaluation(config, backend=fake_backend(process))
     assert process.asked == 0
-    assert ((run / "episodes.parquet").read_bytes(), (run / "actions.bin").read_bytes()) == before
+    assert ((run / "results.parquet").read_bytes(), (run / "actions.bin").read_bytes()) == before
     assert play(run).ok
 
 
@@ -291,8 +292,8 @@ def test_sign_and_check(copy_of: Copy) -> None:
     other = play(run, fraction=0, public_key=Ed25519PrivateKey.generate().public_key())
     assert [finding.file for finding in other.findings] == ["run.json.sig"]
     # A forger can seal anew, but not sign.
-    table = pq.read_table(run / "episodes.parquet")
-    seal_anew(run, with_value(table, "step0_lift_m", 3, 0.125))
+    table = pq.read_table(run / "results.parquet")
+    reseal(run, with_value(table, "step0_lift_m", 3, 0.125))
     assert "run.json.sig" in {finding.file for finding in play(run, fraction=0, public_key=public).findings}
 
 

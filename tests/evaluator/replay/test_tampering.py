@@ -13,15 +13,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evaluator.run.check import read_evidence
 from evaluator.run.proof import check_proof, make_proof
+from evaluator.run.reading import read_run
+from evaluator.run.run import Run
 from evaluator.run.tables import to_parquet
 from evaluator.scenarios import VERSION
 from rema_data.errors import InputError, IntegrityError, MissingFileError
 
 from .conftest import EPISODES, with_value
 
-SEALED = ("episodes.parquet", "actions.bin", "leaves.bin", "summary.json", "run.json")
+SEALED = ("results.parquet", "actions.bin", "leaves.bin", "summary.json", "run.json")
 Copy = Callable[[str], Path]
 
 
@@ -31,15 +32,19 @@ def flip(path: Path, position: int, mask: int = 1) -> None:
     path.write_bytes(content)
 
 
+def examined(run: Path) -> Run:
+    return read_run(run, with_findings=True)
+
+
 def places(run: Path, file: str) -> list[str]:
-    return [finding.where for finding in read_evidence(run).findings if finding.file == file]
+    return [finding.where for finding in examined(run).findings if finding.file == file]
 
 
 @pytest.mark.parametrize("name", ["short", "long"])
 def test_an_untouched_run_has_no_findings(home: Path, name: str) -> None:
-    evidence = read_evidence(home / name)
-    assert evidence.findings == ()
-    assert evidence.actions is not None and evidence.table is not None and evidence.summary is not None
+    run = examined(home / name)
+    assert run.findings == () and run.seal_state == read_run(home / name).seal_state == "whole"
+    assert run.folder.actions is not None and run.table is not None and run.summary is not None
 
 
 @pytest.mark.parametrize("file", SEALED)
@@ -51,7 +56,7 @@ def test_any_changed_byte_of_a_sealed_file_is_found(
     run = shutil.copytree(home / "long", tmp_path_factory.mktemp("run") / "long")
     flip(run / file, int(where * (run / file).stat().st_size), mask)
     try:
-        named = {finding.file for finding in read_evidence(run).findings}
+        named = {finding.file for finding in examined(run).findings}
     except IntegrityError as error:
         named = {"run.json"} if "run.json" in error.message else set()
     assert file in named
@@ -64,23 +69,23 @@ def test_a_file_cut_short_or_gone(copy_of: Copy, file: str) -> None:
     (run / file).write_bytes(content[: len(content) // 2])
     if file == "run.json":
         with pytest.raises(IntegrityError, match=r"run\.json"):
-            read_evidence(run)
+            examined(run)
     else:
         assert places(run, file)
     (run / file).unlink()
     if file == "run.json":
         with pytest.raises(MissingFileError, match="holds no run"):
-            read_evidence(run)
+            examined(run)
     else:
-        assert any("is missing" in finding.detail for finding in read_evidence(run).findings if finding.file == file)
+        assert any("is missing" in finding.detail for finding in examined(run).findings if finding.file == file)
 
 
 def test_a_byte_of_the_action_log_names_episode_and_step(copy_of: Copy) -> None:
     run = copy_of("long")
     flip(run / "actions.bin", 2 * (4 * 17 + 0))
-    (finding,) = read_evidence(run).findings
+    (finding,) = examined(run).findings
     assert (finding.file, finding.where) == ("actions.bin", f"row 17 ({VERSION}/grasp_grasp_push/test/00017), step 0")
-    assert "episodes.parquet says action" in finding.detail
+    assert "results.parquet says action" in finding.detail
 
 
 def test_a_byte_of_the_leaves_names_the_row(copy_of: Copy) -> None:
@@ -94,21 +99,21 @@ def test_a_byte_of_the_leaves_names_the_row(copy_of: Copy) -> None:
 )
 def test_a_changed_value_names_the_row(copy_of: Copy, column: str, value: object) -> None:
     run = copy_of("short")
-    table = pq.read_table(run / "episodes.parquet")
-    (run / "episodes.parquet").write_bytes(to_parquet(with_value(table, column, 31, value)))
-    found = places(run, "episodes.parquet")
+    table = pq.read_table(run / "results.parquet")
+    (run / "results.parquet").write_bytes(to_parquet(with_value(table, column, 31, value)))
+    found = places(run, "results.parquet")
     assert found[0] == f"row 31 ({VERSION}/grasp/test/00031)" and all(where.startswith("row 31 ") for where in found)
     assert places(run, "actions.bin") == []
 
 
 def test_rows_that_are_gone_or_swapped(copy_of: Copy) -> None:
     run = copy_of("short")
-    table = pq.read_table(run / "episodes.parquet")
-    (run / "episodes.parquet").write_bytes(to_parquet(table.slice(0, EPISODES - 1)))
-    assert any(f"has {EPISODES - 1} rows" in finding.detail for finding in read_evidence(run).findings)
+    table = pq.read_table(run / "results.parquet")
+    (run / "results.parquet").write_bytes(to_parquet(table.slice(0, EPISODES - 1)))
+    assert any(f"has {EPISODES - 1} rows" in finding.detail for finding in examined(run).findings)
     order = [0, 2, 1, *range(3, EPISODES)]
-    (run / "episodes.parquet").write_bytes(to_parquet(table.take(pa.array(order))))
-    assert places(run, "episodes.parquet")[:2] == [
+    (run / "results.parquet").write_bytes(to_parquet(table.take(pa.array(order))))
+    assert places(run, "results.parquet")[:2] == [
         f"row 1 ({VERSION}/grasp/test/00002)",
         f"row 2 ({VERSION}/grasp/test/00001)",
     ]
@@ -120,9 +125,9 @@ def test_a_changed_entry_of_the_header_is_named(copy_of: Copy, part: str) -> Non
     text = (run / "run.json").read_text()
     old, new = {"identity": ('"d"', '"e"'), "policy": ('"fake"', '"real"'), "segments": ("shuffled", "shuffles")}[part]
     (run / "run.json").write_text(text.replace(old, new, 1))
-    evidence = read_evidence(run)
-    assert [finding.where for finding in evidence.findings] == [part]
-    assert not evidence.trusted
+    changed = examined(run)
+    assert part in [finding.where for finding in changed.findings if finding.file == "run.json"]
+    assert changed.seal_state == "changed"
 
 
 def test_a_header_that_says_nothing_usable(copy_of: Copy) -> None:
@@ -130,8 +135,8 @@ def test_a_header_that_says_nothing_usable(copy_of: Copy) -> None:
     header = json.loads((run / "run.json").read_text())
     header["identity"] = {"task": "fly"}
     (run / "run.json").write_text(json.dumps(header))
-    evidence = read_evidence(run)
-    assert evidence.findings and evidence.table is None
+    with pytest.raises(IntegrityError, match="unknown task 'fly'.*protocol_hash is missing"):
+        examined(run)
 
 
 def test_one_episode_is_proved_without_the_run(home: Path) -> None:
@@ -150,8 +155,8 @@ def test_one_episode_is_proved_without_the_run(home: Path) -> None:
 
 def test_no_proof_of_rows_that_were_changed(copy_of: Copy) -> None:
     run = copy_of("short")
-    table = pq.read_table(run / "episodes.parquet")
-    (run / "episodes.parquet").write_bytes(to_parquet(with_value(table, "success", 3, None)))
+    table = pq.read_table(run / "results.parquet")
+    (run / "results.parquet").write_bytes(to_parquet(with_value(table, "success", 3, None)))
     with pytest.raises(IntegrityError, match="row 3"):
         make_proof(run, 5)
     with pytest.raises(InputError, match="has no episode 120"):

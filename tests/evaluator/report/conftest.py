@@ -132,7 +132,8 @@ def copied_run(push_run: Path, tmp_path: Path) -> Callable[..., Path]:
             if path.is_file():
                 (folder / path.name).write_bytes(path.read_bytes())
         summary = json.loads((folder / "summary.json").read_text())
-        (folder / "summary.json").write_text(json.dumps({**summary, **changes}))
+        if changes:
+            (folder / "summary.json").write_text(json.dumps({**summary, **changes}))
         return folder
 
     return copy

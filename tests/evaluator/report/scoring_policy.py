@@ -61,7 +61,7 @@ class CuriousPolicy(ScoringPolicy):
         found = 0
         here = Path(__file__).parent
         for what in (
-            lambda: (here / "runs" / "one" / "episodes.parquet").read_bytes(),
+            lambda: (here / "runs" / "one" / "results.parquet").read_bytes(),
             lambda: socket.socket().close(),
             os.fork,
             lambda: Path("/proc", str(os.getppid()), "environ").read_bytes(),

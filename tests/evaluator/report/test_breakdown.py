@@ -10,19 +10,20 @@ from hypothesis import strategies as st
 
 from evaluator.render.images import Photographs
 from evaluator.report.breakdown import breakdowns, place_map, reached
-from evaluator.report.finished import FinishedRun, read_finished
 from evaluator.report.gallery import MARKUP, Card, fit
 from evaluator.report.scores import calibration
 from evaluator.report.selection import SUCCESS, choose, spread
+from evaluator.run.reading import read_run
+from evaluator.run.run import Run
 from evaluator.statistics import rate_interval
 
 
 @pytest.fixture(scope="module")
-def run(push_run: Path) -> FinishedRun:
-    return read_finished(push_run)
+def run(push_run: Path) -> Run:
+    return read_run(push_run)
 
 
-def test_every_table_divides_all_episodes(run: FinishedRun) -> None:
+def test_every_table_divides_all_episodes(run: Run) -> None:
     rows = reached(run)
     tables = breakdowns(run)
     assert {"shape of the target", "length of the target's main bar", "yaw of the target's main bar"} <= {
@@ -36,24 +37,22 @@ def test_every_table_divides_all_episodes(run: FinishedRun) -> None:
             assert (group.low, group.high) == rate_interval(group.successes, group.n)
 
 
-def test_shapes_are_counted_one_by_one(run: FinishedRun) -> None:
+def test_shapes_are_counted_one_by_one(run: Run) -> None:
     (table,) = [table for table in breakdowns(run) if table.title == "shape of the target"]
     for group in table.groups:
-        rows = [row for row in run.episodes if row["target_shape"] == group.label]
+        rows = [row for row in run.rows if row["target_shape"] == group.label]
         assert (group.n, group.successes) == (len(rows), sum(row["success"] for row in rows))
 
 
-def test_the_place_map_has_every_episode_in_its_cell(run: FinishedRun) -> None:
+def test_the_place_map_has_every_episode_in_its_cell(run: Run) -> None:
     found = place_map(run)
     assert found is not None
-    assert sum(group.n for _, _, group in found.cells) == len(run.episodes)
+    assert sum(group.n for _, _, group in found.cells) == len(run.rows)
     size = 2 * found.half_m / found.bins
     for across, down, group in found.cells:
         left, top = across * size - found.half_m, found.half_m - down * size
         inside = [
-            row
-            for row in run.episodes
-            if left <= row["target_x_m"] < left + size and top - size <= row["target_y_m"] < top
+            row for row in run.rows if left <= row["target_x_m"] < left + size and top - size <= row["target_y_m"] < top
         ]
         assert group.n == len(inside)
 
@@ -68,7 +67,7 @@ def test_spread_takes_rows_in_order_and_from_everywhere(length: int, count: int)
         assert chosen[0] < length / count and chosen[-1] >= length - length / count - 1
 
 
-def test_successes_come_first_then_the_commonest_failure(run: FinishedRun) -> None:
+def test_successes_come_first_then_the_commonest_failure(run: Run) -> None:
     chosen = choose(run, 2)
     labels = list(dict.fromkeys(one.label for one in chosen))
     assert labels == [SUCCESS, *run.summary["failures"]]

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from evaluator.report import ReportOptions, WrittenReport, write_report
-from evaluator.report.finished import read_finished
+from evaluator.run.reading import read_run
 from evaluator.statistics import percent, rate_interval
 from tests.evaluator.fakes import fake_backend, fake_config, write_fake_list
 from tests.evaluator.report.conftest import EPISODES, HOSTILE_NAME, HOSTILE_WORDS
@@ -159,7 +159,7 @@ def test_an_episode_that_ends_otherwise_says_so(fake_home: Path, installation: P
     assert written.agreement["different"] > 0
     assert page.text.count("Played again here, this step ended differently") == written.agreement["different"]
     assert f"{written.agreement['different']} ended differently" in page.text
-    assert "judges by another protocol than the run" in page.text
+    assert "has another protocol than the run" in page.text
 
 
 def test_an_end_to_end_run_shows_its_funnel(fake_home: Path) -> None:
@@ -173,4 +173,4 @@ def test_an_end_to_end_run_shows_its_funnel(fake_home: Path) -> None:
     assert len(funnel) == 4
     for step in funnel:
         assert f" {step['attempted']} {step['succeeded']} {percent(step['rate'])} % [" in page.text
-    assert read_finished(run).steps == (0, 1, 2, 3)
+    assert read_run(run).steps == (0, 1, 2, 3)

@@ -9,8 +9,8 @@ import pytest
 
 from evaluator.policy import PolicySpec
 from evaluator.report import ReportOptions, write_report
-from evaluator.report.finished import read_finished
 from evaluator.report.scores import Asked, ask_scores, check_policy
+from evaluator.run.reading import read_run
 from rema_data import grid
 from rema_data.errors import RunMismatchError, SubmissionError
 from rema_data.schema import ObjectSpec, Placement, Shape, Situation
@@ -79,7 +79,7 @@ def test_it_stands_behind_the_walls_of_an_evaluation(tmp_path: Path) -> None:
     run = tmp_path / "runs" / "one"
     run.mkdir(parents=True)
     (run / "run.json").write_text("{}")
-    (run / "episodes.parquet").write_text("outcomes")
+    (run / "results.parquet").write_text("outcomes")
     notes: list[str] = []
     spec = PolicySpec("mine", mine, "CuriousPolicy")
     (seen,) = ask_scores(Asked(spec), [(SITUATION, 0)], run, notes.append)
@@ -89,7 +89,7 @@ def test_it_stands_behind_the_walls_of_an_evaluation(tmp_path: Path) -> None:
 
 
 def test_another_policy_is_refused(push_run: Path, tmp_path: Path) -> None:
-    run = read_finished(push_run)
+    run = read_run(push_run)
     check_policy(run, policy("ScoringPolicy"), None)
     changed = shutil.copy(POLICY, tmp_path / "policy.py")
     changed.write_text(POLICY.read_text() + "# another one\n")

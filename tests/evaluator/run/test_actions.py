@@ -17,7 +17,7 @@ from evaluator.run.actions import (
     recorded_actions,
 )
 from evaluator.run.records import Answered, Records, Simulated
-from evaluator.run.tables import episodes_table
+from evaluator.run.tables import results_table
 from evaluator.scenarios import load_list
 from rema_data import grid
 from rema_data.schema import Failure, StepOutcome
@@ -49,7 +49,7 @@ def test_from_records_to_the_log_and_back(fake_home: object) -> None:
             Simulated(0, 1, StepOutcome(False, Failure.MISSED, arm="left"), 0.1, "w0", 1),
         ]
     )
-    log = actions_of(episodes_table(load_list("grasp_grasp_push"), 3, steps, records), steps)
+    log = actions_of(results_table(load_list("grasp_grasp_push"), 3, steps, records), steps)
     assert log.tolist() == [
         [33_000, 33_001, NOT_ASKED, NOT_ASKED],
         [POLICY_ERROR, NOT_ASKED, NOT_ASKED, NOT_ASKED],

@@ -16,14 +16,17 @@ from hypothesis import strategies as st
 
 from evaluator.leaderboard.submission import make_entry
 from evaluator.policy.named import policy_names
-from evaluator.run.entry import MAX_BYTES, Entry, encode, read_entry, read_scored, seal
-from evaluator.run.scored import Audit, Counts, FunnelStep, Marks, Outcomes, ScoredRun, read_run
+from evaluator.run.counts import Counts, FunnelStep
+from evaluator.run.entry import MAX_BYTES, encode, read_entry, seal
+from evaluator.run.reading import read_run
+from evaluator.run.run import Outcomes, Provenance, Run
+from evaluator.run.summary import Audit
 from rema_data.errors import InputError, IntegrityError, MissingFileError
 from rema_data.schema import Failure
 from tests.evaluator.runs import solved, write_manifests, write_run
 
 
-def entry_of(eligible: list[bool], success: list[bool], policy: str = "my_policy") -> Entry:
+def entry_of(eligible: list[bool], success: list[bool], policy: str = "my_policy") -> Run:
     measured = np.array(eligible, bool)
     passed = np.array(success, bool) & measured
     failed = int(measured.sum() - passed.sum())
@@ -36,21 +39,21 @@ def entry_of(eligible: list[bool], success: list[bool], policy: str = "my_policy
         infra_errors=int((~measured).sum()),
         funnel=(FunnelStep(0, int(measured.sum()), int(passed.sum())),),
     )
-    run = ScoredRun(
+    environment = {"rema": "0.1.0", "commit": None, "dirty": False, "segments": 2}
+    return Run(
         source=Path("x"),
-        kind="entry",
         policy=policy,
         privileged=False,
         task="grasp",
         split="test",
         protocol="conditional",
-        counts=counts,
-        marks=Marks("1" * 64, "2" * 64, "3" * 64, {"pybullet": "3.2.7"}),
+        provenance=Provenance(
+            "1" * 64, "2" * 64, "3" * 64, {"pybullet": "3.2.7"}, environment, merkle_root="4" * 64, seal="5" * 64
+        ),
         audit=Audit(30, 1, 30, 0),
-        outcomes=Outcomes(np.ones_like(measured), measured, passed),
         link="https://example.org/paper",
+        packed=(counts, Outcomes(measured, passed)),
     )
-    return Entry(run, {"rema": "0.1.0", "commit": None, "dirty": False, "segments": 2}, "4" * 64, "5" * 64)
 
 
 @pytest.fixture
@@ -68,12 +71,10 @@ def test_what_is_packed_comes_out_again(
     path = tmp_path_factory.mktemp("entry") / "entry.json"
     path.write_bytes(encode(entry))
     found = read_entry(path)
-    for name in ("policy", "privileged", "task", "split", "protocol", "counts", "marks", "audit", "link"):
-        assert getattr(found.run, name) == getattr(entry.run, name)
-    assert found.run.outcomes is not None and entry.run.outcomes is not None
-    assert np.array_equal(found.run.outcomes.eligible, entry.run.outcomes.eligible)
-    assert np.array_equal(found.run.outcomes.success, entry.run.outcomes.success)
-    assert (found.provenance, found.merkle_root, found.seal) == (entry.provenance, entry.merkle_root, entry.seal)
+    for name in ("policy", "privileged", "task", "split", "protocol", "counts", "provenance", "audit", "link"):
+        assert getattr(found, name) == getattr(entry, name)
+    assert np.array_equal(found.outcomes.eligible, entry.outcomes.eligible)
+    assert np.array_equal(found.outcomes.success, entry.outcomes.success)
     assert encode(found) == encode(entry)
 
 
@@ -82,8 +83,8 @@ def test_ten_thousand_episodes_with_every_failure_fit() -> None:
     bits = np.random.default_rng(1).random(10_000) < 0.5
     entry = entry_of([True] * 10_000, bits.tolist(), policy="n" * 64)
     labels = [label.value for label in Failure if label is not Failure.POLICY_ERROR]
-    left = entry.run.counts.failures["missed"]
-    entry.run.counts.failures.update(dict.fromkeys(labels, 1000), missed=left)
+    left = entry.counts.failures["missed"]
+    entry.counts.failures.update(dict.fromkeys(labels, 1000), missed=left)
     assert len(encode(entry)) < MAX_BYTES - 2000
 
 
@@ -139,22 +140,23 @@ def bit_behind_the_end(content: dict[str, Any]) -> None:
         (lambda c: c["counts"].update(infra_errors=2), "do not add up"),
         (lambda c: c["counts"]["failures"].update(slipped=3), "do not add up"),
         (lambda c: c["counts"]["failures"].update(bored=0), "failure labels"),
-        (lambda c: c["counts"].update(eligible=19.0), "whole numbers"),
+        (lambda c: c["counts"].update(eligible=19.0), r"counts\.eligible is 19\.0"),
         (lambda c: c["counts"]["funnel"].append({"step": 1, "attempted": 1, "succeeded": 1}), "do not add up"),
-        (lambda c: c["audit"].update(action_flips=31), "audit does not add up"),
-        (lambda c: c["audit"].update(outcomes=-1), "audit is not all whole numbers"),
+        (lambda c: c["audit"].update(action_flips=31), "audit has more flips than repeats"),
+        (lambda c: c["audit"].update(outcomes=-1), r"audit\.outcomes is -1"),
         (lambda c: c["policy"].update(name="\u001b[31mred"), "cannot be a policy's name"),
-        (lambda c: c["policy"].update(link="javascript:alert(1)"), "is no address"),
-        (lambda c: c["policy"].update(privileged="no"), "privileged"),
-        (lambda c: c["marks"].update(policy_digest="x"), "is no sha256"),
+        (lambda c: c["policy"].update(link="javascript:alert(1)"), "is not an address"),
+        (lambda c: c["policy"].update(privileged="no"), r"policy\.privileged is 'no'"),
+        (lambda c: c["marks"].update(policy_digest="x"), r"marks\.policy_digest is 'x'"),
         (lambda c: c["marks"].update(fingerprint={}), "fingerprint"),
         (lambda c: c["marks"].update(fingerprint={"probe": "<b>"}), "fingerprint"),
-        (lambda c: c["evidence"].update(seal=None), "refused"),
-        (lambda c: c["provenance"].update(rema=[1]), "provenance"),
+        (lambda c: c["evidence"].update(seal=None), r"evidence\.seal is None"),
+        (lambda c: c["provenance"].update(rema=[1]), r"provenance\.rema"),
         (lambda c: c.update(task="fly"), "task 'fly'"),
-        (lambda c: c.update(format=2), "format 2"),
-        (lambda c: c.update(extra=1), "extra"),
-        (lambda c: c.pop("marks"), "marks"),
+        (lambda c: c.update(format=2), "has format 2; this version of rema reads formats up to 1"),
+        (lambda c: c.update(format="1"), "format is '1'"),
+        (lambda c: c.update(extra=1), "extra is not a known field"),
+        (lambda c: c.pop("marks"), "marks is missing"),
     ],
 )
 def test_a_new_seal_does_not_hide_what_cannot_be(
@@ -167,7 +169,7 @@ def test_a_new_seal_does_not_hide_what_cannot_be(
 
 
 @pytest.mark.parametrize("content", [b"", b"[]", b"{", b"\xff\xfe", b"[" * 3000, b" " * (MAX_BYTES + 1), b"null"])
-def test_files_that_are_no_entries(tmp_path: Path, content: bytes) -> None:
+def test_files_that_are_not_entries(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "odd.json"
     path.write_bytes(content)
     with pytest.raises(IntegrityError, match=r"odd\.json is refused"):
@@ -180,34 +182,25 @@ def test_a_run_and_its_entry_say_the_same(tmp_path: Path, monkeypatch: pytest.Mo
     folder = write_run(tmp_path / "run", solved(0.4, 1))
     path = tmp_path / "entry.json"
     path.write_bytes(encode(make_entry(folder)))
-    run, entry = read_scored(folder), read_scored(path)
+    run, entry = read_run(folder), read_run(path)
     assert (run.kind, entry.kind) == ("run", "entry")
-    assert (run.counts, run.marks, run.audit) == (entry.counts, entry.marks, entry.audit)
+    assert (run.counts, run.provenance, run.audit) == (entry.counts, entry.provenance, entry.audit)
+    assert encode(run) == encode(entry)
     with pytest.raises(MissingFileError):
-        read_scored(tmp_path / "none")
-
-
-def test_a_run_whose_table_was_edited_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_manifests(tmp_path / "manifests")
-    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
-    folder = write_run(tmp_path / "run", solved(0.4, 1))
-    other = write_run(tmp_path / "other", solved(0.6, 2))
-    (folder / "episodes.parquet").write_bytes((other / "episodes.parquet").read_bytes())
-    with pytest.raises(IntegrityError, match=r"holds successes \d+, summary\.json says"):
-        read_run(folder)
-    (folder / "episodes.parquet").write_bytes(b"PAR1")
-    with pytest.raises(IntegrityError, match="cannot be read"):
-        read_run(folder)
+        read_run(tmp_path / "none")
+    with pytest.raises(InputError, match="is an entry of the leaderboard"):
+        read_run(path, with_findings=True)
+    with pytest.raises(InputError, match="is an entry of the leaderboard"):
+        _ = entry.table
 
 
 def test_only_built_in_names_are_tagged_as_ours() -> None:
     for name in policy_names():
-        assert entry_of([True], [True], name).run.tag in ("random", "privileged", "learned")
+        assert entry_of([True], [True], name).tag in ("random", "privileged", "learned")
     for name in ("joint", "random.py", "tae-joint.py", "my_policy"):
-        assert entry_of([True], [True], name).run.tag == "submitted"
+        assert entry_of([True], [True], name).tag == "submitted"
 
 
-def test_an_entry_needs_outcomes() -> None:
-    entry = entry_of([True], [True])
-    with pytest.raises(InputError, match="no outcomes"):
-        encode(dataclasses.replace(entry, run=dataclasses.replace(entry.run, outcomes=None)))
+def test_an_entry_needs_an_audit() -> None:
+    with pytest.raises(InputError, match="no audit"):
+        encode(dataclasses.replace(entry_of([True], [True]), audit=None))

@@ -11,7 +11,7 @@ import pytest
 
 from evaluator.engines import InfraError
 from evaluator.run.records import Answered, Ledger, Simulated
-from evaluator.run.tables import episodes_table, timings_table, to_parquet, verdict
+from evaluator.run.tables import results_table, timings_table, to_parquet, verdict
 from evaluator.scenarios import VERSION, load_list
 from rema_data.errors import IntegrityError, StorageError
 from rema_data.schema import Failure, StepOutcome
@@ -122,7 +122,7 @@ def test_tables(fake_home: Path) -> None:
     ledger.add_answers([Answered(3, 0, None, "nan", "returned nan")])
     ledger.add_outcomes([Simulated(4, 0, InfraError("hung", "120 s"), 120.0, "w0", 2)])
     ledger.close()
-    table = episodes_table(scenarios, 6, (0,), ledger)
+    table = results_table(scenarios, 6, (0,), ledger)
     assert table.column("success").to_pylist() == [False, True, False, False, None, None]
     assert table.column("failure").to_pylist() == ["missed", None, "missed", "policy_error", None, None]
     assert table.column("infra_error").to_pylist() == [None, None, None, None, "hung", None]
@@ -136,7 +136,7 @@ def test_tables(fake_home: Path) -> None:
     other.add_answers([Answered(3, 0, None, "nan", "x"), *(Answered(n, 0, 33_000 + n) for n in range(3))])
     other.add_outcomes(Simulated(n, 0, LIFTED if n % 2 else MISSED, 7.7, "w9", 2) for n in range(3))
     other.close()
-    payload = to_parquet(episodes_table(scenarios, 6, (0,), other))
+    payload = to_parquet(results_table(scenarios, 6, (0,), other))
     assert payload == to_parquet(table)
     (fake_home / "t.parquet").write_bytes(payload)
     assert pq.read_table(fake_home / "t.parquet").equals(table)

@@ -16,8 +16,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from evaluator.leaderboard.eligibility import obstacles
+from evaluator.run.reading import read_run
 from evaluator.run.records import Ledger
-from evaluator.run.scored import read_run
 from evaluator.runner import run_evaluation
 from evaluator.runner.audit import LEAST_EPISODES
 from evaluator.statistics import clopper_pearson
@@ -111,7 +111,7 @@ def test_a_policy_that_counts_its_questions_does_not_know_the_scenario(fake_home
         audited(fake_home / name, Remembering, episodes=300)
         run = read_run(fake_home / name)
         assert "actions" in [obstacle.what for obstacle in obstacles(run)]
-        actions.append(pq.read_table(fake_home / name / "episodes.parquet")["step0_action"].to_numpy())
+        actions.append(pq.read_table(fake_home / name / "results.parquet")["step0_action"].to_numpy())
     assert (actions[0] != actions[1]).mean() > 0.9
 
 
@@ -162,7 +162,7 @@ def test_an_interrupted_audit_goes_on_where_it_stopped(fake_home: Path) -> None:
     summary = run_evaluation(config, backend=fake_backend(process)).summary
     assert process.asked == 100 + LEAST_EPISODES  # no question twice
     assert summary["audit"]["outcomes"] == LEAST_EPISODES and summary["segments"] == 2
-    table = "episodes.parquet"
+    table = "results.parquet"
     assert (fake_home / "run" / table).read_bytes() == (fake_home / "whole" / table).read_bytes()
 
 

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from filelock import FileLock
 
 from evaluator.cli.main import cli
-from evaluator.run.check import read_evidence
+from evaluator.run.reading import read_run
 from evaluator.runner import run_evaluation
 from evaluator.runner.merge import merge_runs
 from evaluator.runner.shards import RunShard
@@ -23,7 +23,7 @@ from tests.evaluator.fakes import FakePolicyProcess, fake_backend, fake_config, 
 
 LONG = "grasp_grasp_push"
 EPISODES, COUNT, BATCH = 200, 3, 16
-SAME = ("episodes.parquet", "actions.bin", "leaves.bin")
+SAME = ("results.parquet", "actions.bin", "leaves.bin")
 
 
 def cut(whole: Path, part: Path, indices: Iterable[int], shard: str) -> Path:
@@ -84,7 +84,7 @@ def test_merged_parts_have_the_bytes_of_the_whole_run(whole: Path, parts: list[P
 
 def test_a_merged_run_is_sealed_and_goes_on_like_any_other(parts: list[Path], fake_home: Path) -> None:
     merge_runs(parts, fake_home / "merged")
-    assert read_evidence(fake_home / "merged").findings == ()
+    assert read_run(fake_home / "merged").seal_state == "whole"
     before = table(fake_home / "merged")
     process = FakePolicyProcess()
     config = fake_config(fake_home / "merged", task=LONG, protocol="end-to-end", batch_size=BATCH)

@@ -1,4 +1,4 @@
-"""A first look stops as soon as the pairs tell two policies apart, says so, and leaves a run that goes on."""
+"""A first look stops as soon as one policy is significantly better, says so, and leaves a run that goes on."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from typing import Any
 
 import pytest
 
-from evaluator.run.scored import read_run
+from evaluator.run.reading import read_run
 from evaluator.runner import run_evaluation
 from evaluator.runner.quick import FIRST_LOOK, quick_evaluation
 from rema_data.errors import InputError, MissingFileError
 from rema_data.schema import Failure, Situation, StepOutcome
 from tests.evaluator.fakes import FakeSimulator, fake_backend, fake_config
+from tests.evaluator.runs import reseal
 
 
 class Clumsy(FakeSimulator):
@@ -72,20 +73,18 @@ def test_runs_that_do_not_compare_are_refused(tmp_path: Path, reference: Path) -
     with pytest.raises(InputError, match="task is"):
         look(tmp_path / "long", reference, FakeSimulator, task="grasp_grasp_push")
     assert not (tmp_path / "long").exists()  # it is known before anything is played
-    summary = reference / "summary.json"
-    content = summary.read_text()
-    summary.write_text(json.dumps({**json.loads(content), "protocol_hash": "of an earlier version"}))
+    earlier = {"protocol_hash": "of an earlier version"}
+    reseal(reference, identity=earlier, **earlier)
     with pytest.raises(InputError, match="protocol_hash is of an earlier version, here it is"):
         look(tmp_path / "earlier", reference, FakeSimulator)
     assert not (tmp_path / "earlier").exists()
-    summary.write_text(content)
-    (reference / "episodes.parquet").unlink()
+    (reference / "results.parquet").unlink()
     with pytest.raises(MissingFileError):
         look(tmp_path / "other", reference, FakeSimulator)
 
 
 def test_a_run_to_the_end_keeps_its_rank(tmp_path: Path, reference: Path) -> None:
     whole = run_evaluation(fake_config(tmp_path / "whole", engine="inline"), backend=fake_backend(digest="other"))
-    with pytest.raises(InputError, match="no quick look"):
+    with pytest.raises(InputError, match="is not a quick look"):
         look(tmp_path / "whole", reference, FakeSimulator)
     assert json.loads((tmp_path / "whole" / "summary.json").read_text()) == whole.summary

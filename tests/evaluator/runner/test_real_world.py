@@ -33,7 +33,7 @@ def _own_cache(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def table(output: Path, **changes: Any) -> bytes:
     fields: dict[str, Any] = {"episodes": EPISODES, "workers": 2, **changes}
     run_evaluation(EvaluationConfig(resolve("scripted"), "grasp", output, **fields))
-    return (output / "episodes.parquet").read_bytes()
+    return (output / "results.parquet").read_bytes()
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +61,6 @@ def test_killed_and_resumed(reference: bytes, home: Path) -> None:
             time.sleep(0.005)
         judge.send_signal(signal.SIGKILL)
     assert 5 <= journal.read_bytes().count(b"\n") < EPISODES
-    assert not (output / "episodes.parquet").exists()
+    assert not (output / "results.parquet").exists()
     assert table(output) == reference
     assert len(list((output / "records").glob("outcomes-*.jsonl"))) == 2

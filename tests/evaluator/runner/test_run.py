@@ -38,7 +38,7 @@ LONG = "grasp_grasp_push"
 
 def table(output: Path) -> bytes:
     """Everything that must not depend on how a run went."""
-    return b"".join((output / name).read_bytes() for name in ("episodes.parquet", "actions.bin", "leaves.bin"))
+    return b"".join((output / name).read_bytes() for name in ("results.parquet", "actions.bin", "leaves.bin"))
 
 
 def run(output: Path, process: FakePolicyProcess | None = None, **changes: Any) -> dict[str, Any]:
@@ -84,7 +84,7 @@ def test_same_bytes_after_kill_of_the_whole_run(
     while time.monotonic() < deadline + 5 and any(map(running, workers)):
         time.sleep(0.02)
     assert not any(map(running, workers))
-    assert not (output / "episodes.parquet").exists()
+    assert not (output / "results.parquet").exists()
     monkeypatch.delenv(FAULTS)
     journal.write_bytes(journal.read_bytes()[:-17])  # a torn line as well
 
@@ -137,7 +137,7 @@ def test_results_without_records_are_not_taken_over(fake_home: Path) -> None:
 
 def test_conditional_summary(fake_home: Path) -> None:
     summary = run(fake_home / "run", task=LONG)
-    rows = pq.read_table(fake_home / "run" / "episodes.parquet")
+    rows = pq.read_table(fake_home / "run" / "results.parquet")
     assert summary["episodes"] == summary["eligible"] == 200
     assert summary["successes"] == sum(rows.column("success").to_pylist())
     assert sum(summary["failures"].values()) == 200 - summary["successes"]
@@ -233,7 +233,7 @@ def test_many_policy_faults_end_the_run(fake_home: Path, episodes: int) -> None:
     assert process.asked in ({5} if episodes == 5 else {64 + 44, 128})  # the last, short question may come first
     summary = json.loads((fake_home / "run" / "summary.json").read_text())
     assert summary["policy_errors"] > 0
-    assert pq.read_table(fake_home / "run" / "episodes.parquet").num_rows == episodes
+    assert pq.read_table(fake_home / "run" / "results.parquet").num_rows == episodes
 
 
 def test_infrastructure_errors_are_bounded_and_tried_again(fake_home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -267,7 +267,7 @@ def test_full_disk_can_be_resumed(fake_home: Path, monkeypatch: pytest.MonkeyPat
         with pytest.raises(StorageError, match="no space"):
             run(fake_home / "run", engine="inline")
     assert room[0] < 0
-    assert not (fake_home / "run" / "episodes.parquet").exists()
+    assert not (fake_home / "run" / "results.parquet").exists()
     run(fake_home / "run")
     assert table(fake_home / "run") == table(fake_home / "whole")
 

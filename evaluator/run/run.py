@@ -1,0 +1,293 @@
+"""One run, read from its folder or from its entry: the only reader that tables, comparisons, pages and replays use."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from evaluator.policy.named import PRIVILEGED_KINDS, kind_of
+from evaluator.protocol import acting_steps
+from evaluator.run.check import Finding, RunFiles
+from evaluator.run.counts import Counts
+from evaluator.run.folder import TIMINGS_FILE
+from evaluator.run.records import ANSWERS, read_journal
+from evaluator.run.seal import results_name
+from evaluator.run.summary import Audit
+from evaluator.run.tables import TIMINGS_SCHEMA, first_line
+from evaluator.scenarios.strata import Targets
+from rema_data.errors import InputError, IntegrityError, MissingFileError
+
+__all__ = ["AGAIN", "Outcomes", "Provenance", "Row", "Run"]
+
+AGAIN = "run the same `rema evaluate` again: it writes the tables from its records"
+_FINDINGS_NAMED = 3
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """What was evaluated, by which rules, on what, and with what.
+
+    Attributes
+    ----------
+    policy_digest, protocol_hash, scenarios_hash : str
+    fingerprint : dict of str -> str
+        Of the simulator. Two runs compare where these two hashes agree; where the fingerprint differs, they may differ
+        by the simulator.
+    environment : dict
+        Versions, commit, machine and engine, as strings, whole numbers, booleans or null: for people.
+    merkle_root, seal : str
+        Of the run folder; empty where it has no seal.
+    """
+
+    policy_digest: str
+    protocol_hash: str
+    scenarios_hash: str
+    fingerprint: Mapping[str, str]
+    environment: Mapping[str, Any] = field(default_factory=dict)
+    merkle_root: str = ""
+    seal: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcomes:
+    """Scenario by scenario, in the order of the list.
+
+    Attributes
+    ----------
+    eligible : bool (N,)
+        Measured.
+    success : bool (N,)
+        False where it was not measured.
+    """
+
+    eligible: npt.NDArray[np.bool_]
+    success: npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Run:
+    """One policy on one scenario list. ``evaluator.run.read_run`` makes it.
+
+    Attributes
+    ----------
+    source : Path
+        Run folder or entry file.
+    policy : str
+    privileged : bool
+        The policy saw the ground truth.
+    task, split, protocol : str
+    provenance : Provenance
+    audit : Audit or None
+        None where nothing was repeated.
+    stopped_early : bool
+        A quick look, not a full run.
+    unfinished : int
+        Episodes that could have been played and have no result: 0 unless the run was cut short.
+    nondeterministic : int
+        Steps that had two different outcomes.
+    isolation : str
+        Lowest isolation level of the policy's sandbox; empty where it was not recorded.
+    link : str
+        Where to read about the policy; empty for run folders.
+    findings : tuple of Finding
+        What is not as it was sealed, or contradicts another file. Always empty, but for a reader that asked for them.
+    files : RunFiles or None
+        Content of the run folder; None for an entry.
+    packed : (Counts, Outcomes) or None
+        What an entry holds in place of a table; None for a folder.
+    """
+
+    source: Path
+    policy: str
+    privileged: bool
+    task: str
+    split: str
+    protocol: str
+    provenance: Provenance
+    audit: Audit | None
+    stopped_early: bool = False
+    unfinished: int = 0
+    nondeterministic: int = 0
+    isolation: str = ""
+    link: str = ""
+    findings: tuple[Finding, ...] = ()
+    files: RunFiles | None = None
+    packed: tuple[Counts, Outcomes] | None = None
+
+    @property
+    def kind(self) -> Literal["run", "entry"]:
+        """What it was read from: a run folder, or an entry file."""
+        return "entry" if self.files is None else "run"
+
+    @property
+    def seal_state(self) -> Literal["whole", "changed", "unsealed"]:
+        """Whether everything is as it was sealed; ``findings`` name what changed."""
+        if self.findings:
+            return "changed"
+        return "whole" if self.files is None or self.files.sealed else "unsealed"
+
+    @property
+    def tag(self) -> str:
+        """The kind of an installed policy, as its package says, or ``submitted``.
+
+        A policy that saw the ground truth is always ``privileged``.
+        """
+        kind = kind_of(self.policy)
+        return "privileged" if self.privileged or kind in PRIVILEGED_KINDS else kind or "submitted"
+
+    @property
+    def steps(self) -> tuple[int, ...]:
+        """Steps in which the policy acted, ascending."""
+        return acting_steps(self.task, self.protocol)
+
+    @property
+    def end_to_end(self) -> bool:
+        """Whether the policy did every step."""
+        return self.protocol == "end-to-end"
+
+    @property
+    def counts(self) -> Counts:
+        """Counts, rate and interval, from the rows.
+
+        Raises
+        ------
+        IntegrityError
+            The table cannot be read (only where the reader asked for ``findings``); so do the properties below.
+        """
+        if self.packed is not None:
+            return self.packed[0]
+        if self.folder.counts is None:
+            raise self.refusal()
+        return self.folder.counts
+
+    @cached_property
+    def outcomes(self) -> Outcomes:
+        """Which scenario was measured, and solved."""
+        if self.packed is not None:
+            return self.packed[1]
+        success = self.table["success"].to_pylist()
+        eligible, solved = ([value is not None for value in success], [value is True for value in success])
+        return Outcomes(np.array(eligible), np.array(solved))
+
+    @property
+    def folder(self) -> RunFiles:
+        """The files of the run folder.
+
+        Raises
+        ------
+        InputError
+            This is an entry; so do the properties below.
+        """
+        if self.files is None:
+            raise self.no_folder()
+        return self.files
+
+    @property
+    def header(self) -> Mapping[str, Any]:
+        """Content of ``run.json``."""
+        return self.folder.header
+
+    @property
+    def summary(self) -> Mapping[str, Any]:
+        """Content of ``summary.json``."""
+        if self.folder.summary is None:
+            raise self.refusal()
+        return self.folder.summary
+
+    @property
+    def table(self) -> pa.Table:
+        """The results table: a row for each scenario, in their order."""
+        if self.folder.table is None:
+            raise self.refusal()
+        return self.folder.table
+
+    @property
+    def stored(self) -> pa.Table:
+        """The same without the columns that are newer than the run."""
+        if self.folder.stored is None:
+            raise self.refusal()
+        return self.folder.stored
+
+    @cached_property
+    def rows(self) -> Sequence[Row]:
+        """Rows of the results table; a null is None."""
+        rows: list[Row] = self.table.to_pylist()
+        return rows
+
+    @property
+    def measured(self) -> list[Row]:
+        """Rows of the eligible episodes: those with an outcome."""
+        return [row for row in self.rows if row["success"] is not None]
+
+    @property
+    def targets(self) -> Targets:
+        """The objects that the last step is about, scenario by scenario."""
+        shape, *numbers = (self.table[f"target_{name}"] for name in ("shape", "length_m", "width_m", "yaw_rad"))
+        return Targets(np.array(shape.to_pylist(), str), *(column.to_numpy().astype(np.float64) for column in numbers))
+
+    @cached_property
+    def timings(self) -> Sequence[Row]:
+        """Rows of ``timings.parquet``, which no seal is over.
+
+        Raises
+        ------
+        MissingFileError, IntegrityError
+            It is not there, or cannot be read.
+        """
+        path = self.source / TIMINGS_FILE
+        if not path.is_file():
+            raise MissingFileError(f"{path} does not exist", hint=AGAIN, path=str(path))
+        try:
+            table = pq.read_table(io.BytesIO(path.read_bytes())).select(TIMINGS_SCHEMA.names)
+            if table.schema.types != TIMINGS_SCHEMA.types or any(column.null_count for column in table.columns):
+                raise ValueError("it does not have the columns that it should have")
+            rows: list[Row] = table.to_pylist()
+        except (pa.ArrowException, KeyError, OSError, ValueError) as error:
+            reason = first_line(error)
+            raise IntegrityError(f"{path} cannot be read: {reason}", hint=AGAIN, path=str(path)) from error
+        return rows
+
+    @property
+    def results_path(self) -> Path:
+        """Where the results table lies."""
+        return self.source / results_name(self.header)
+
+    def faults(self) -> list[Row]:
+        """What the policy said where it gave no action: ``index``, ``step``, ``reason`` and ``detail``.
+
+        Raises
+        ------
+        IntegrityError
+            A line of the records is damaged.
+        """
+        if not self.counts.policy_errors:
+            return []
+        answers = (row for _, row in read_journal(self.source / "records", ANSWERS))
+        return [row for row in answers if row["action"] is None and row["index"] < self.counts.episodes]
+
+    def refusal(self) -> IntegrityError:
+        """The error that names what changed."""
+        named = "; ".join(map(str, self.findings[:_FINDINGS_NAMED]))
+        more = len(self.findings) - _FINDINGS_NAMED
+        return IntegrityError(
+            f"{self.source} is refused: {named}{f'; and {more:,} more' if more > 0 else ''}",
+            hint=f"see all of it: rema replay {self.source}; or evaluate the policy again",
+            path=str(self.source / self.findings[0].file),
+            findings=self.findings,
+        )
+
+    def no_folder(self) -> InputError:
+        """The error of an entry where a run folder is needed."""
+        hint = "give the folder of the run that it was made from"
+        return InputError(f"{self.source} is an entry of the leaderboard", hint=hint, path=str(self.source))
