@@ -12,11 +12,7 @@ import shlex
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
-
-if TYPE_CHECKING:
-    from rema_data.release.manifest import BlockEntry
 
 __all__ = [
     "ReleaseRepair",
@@ -139,15 +135,14 @@ class ReleaseRepair:
             )
         return "the bytes are the sealed ones: collect the release again under a new name: rema collect PLAN"
 
-    def blocks(self, missing: Iterable[BlockEntry]) -> str:
-        """The command that brings missing blocks."""
-        blocks = list(missing)
-        options = "".join(f" --task {task}" for task in sorted({block.task for block in blocks}))
+    def blocks(self, tasks: Iterable[str], locations: Iterable[str]) -> str:
+        """The command that brings missing blocks, by their tasks and folders."""
+        options = "".join(f" --task {task}" for task in sorted(set(tasks)))
         if self.downloaded:
             manifest = shlex.quote(str(self.root / self.name / "manifest.json"))
             given = "" if self.published else f" --manifest {manifest}"
             return f"fetch them: rema download {self.name}{options}{given}{self.source}"
-        known = self._checkout(*(f"{block.holder}/{block.key.path}" for block in blocks))
+        known = self._checkout(*locations)
         if known:
             return f"bring them back: {known}"
         return self._published_instead(options) if self.published else _COLLECT.format("them")

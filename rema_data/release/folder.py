@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -77,9 +77,14 @@ class ReleaseFolder:
             raise MissingFileError(
                 f"{len(missing)} blocks of {self.manifest.name} are not on this machine, the first one "
                 f"{missing[0].key.path}",
-                hint=self.repair.blocks(missing),
+                hint=self.missing_hint(missing),
                 missing=[block.key for block in missing],
             )
+
+    def missing_hint(self, missing: Sequence[BlockEntry]) -> str:
+        """The command that brings missing blocks."""
+        locations = [f"{block.holder}/{block.key.path}" for block in missing]
+        return self.repair.blocks([block.task for block in missing], locations)
 
     @property
     def downloaded(self) -> bool:

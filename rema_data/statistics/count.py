@@ -153,7 +153,7 @@ def count(release: ReleaseFolder) -> Statistics:
         release.manifest.sha256,
         tuple(row for block in here for row in _count_block(block, release.block(block))),
         missing,
-        release.repair.blocks(missing) if missing else "",
+        release.missing_hint(missing) if missing else "",
     )
 
 

@@ -32,10 +32,11 @@ def hint_of_a_broken_manifest(folder: Path) -> str:
 
 
 def test_a_release_that_is_not_published(places: Path, tiny: ReleaseFolder) -> None:
-    repair = copied(tiny, places / "my data").repair
+    release = copied(tiny, places / "my data")
+    repair = release.repair
     assert repair.verify == f"rema verify '{places}/my data/tiny'"
     assert repair.file(FILE) == AGAIN
-    assert repair.blocks([tiny.manifest.blocks[0]]) == AGAIN.replace("it", "them", 1)
+    assert release.missing_hint([tiny.manifest.blocks[0]]) == AGAIN.replace("it", "them", 1)
 
 
 def test_a_download(places: Path, tiny: ReleaseFolder) -> None:
@@ -44,7 +45,7 @@ def test_a_download(places: Path, tiny: ReleaseFolder) -> None:
     assert release.repair.file(FILE) == "rema verify tiny --repair --source URL"
     copied(tiny, places / "releases")  # which a download asks
     assert release.repair.file(FILE) == "rema verify tiny --repair"
-    assert release.repair.blocks([tiny.manifest.blocks[0]]) == "fetch them: rema download tiny --task grasp"
+    assert release.missing_hint([tiny.manifest.blocks[0]]) == "fetch them: rema download tiny --task grasp"
 
 
 def test_the_name_is_used_where_it_leads_to_the_folder(places: Path, tiny: ReleaseFolder) -> None:
@@ -59,27 +60,29 @@ def test_the_name_is_used_where_it_leads_to_the_folder(places: Path, tiny: Relea
 def test_a_download_of_a_release_that_is_not_published(places: Path, tiny: ReleaseFolder) -> None:
     release = copied(tiny, downloads_folder())
     assert release.repair.file(FILE) == f"rema verify {release.path} --repair --source URL"
-    command = release.repair.blocks([tiny.manifest.blocks[0]])
+    command = release.missing_hint([tiny.manifest.blocks[0]])
     assert command.endswith(f"rema download tiny --task grasp --manifest {release.path / MANIFEST} --source URL")
 
 
 def test_a_copy_of_a_published_release(places: Path, tiny: ReleaseFolder) -> None:
     """What a download brings does not arrive in this folder: the user is told to open that."""
     register(tiny.manifest)
-    repair = copied(tiny, places / "elsewhere").repair
+    release = copied(tiny, places / "elsewhere")
+    repair = release.repair
     assert repair.verify == f"rema verify {places}/elsewhere/tiny"
     instead = "fetch the published files, and open them by their name: rema download tiny"
     assert repair.file(FILE) == f"{instead} --source URL"
-    assert repair.blocks([tiny.manifest.blocks[0]]) == f"{instead} --task grasp --source URL"
+    assert release.missing_hint([tiny.manifest.blocks[0]]) == f"{instead} --task grasp --source URL"
 
 
 def test_a_checkout(places: Path, tiny: ReleaseFolder, monkeypatch: pytest.MonkeyPatch) -> None:
     register(tiny.manifest)
     (places / ".git").mkdir()
-    repair = copied(tiny, places / "data").repair
+    release = copied(tiny, places / "data")
+    repair = release.repair
     assert repair.file(FILE) == f"git checkout -- data/{FILE}"
     block = tiny.manifest.blocks[0]
-    assert repair.blocks([block]) == f"bring them back: git checkout -- data/tiny/{block.key.path}"
+    assert release.missing_hint([block]) == f"bring them back: git checkout -- data/tiny/{block.key.path}"
     assert hint_of_a_broken_manifest(places / "data" / "tiny") == f"git checkout -- data/tiny/{MANIFEST}"
     monkeypatch.chdir(places / "data")  # where git would look for data/data
     assert repair.file(FILE) == f"git -C {places} checkout -- data/{FILE}"
