@@ -9,7 +9,7 @@ like ``Hdf5``, and an entry point.
 from __future__ import annotations
 
 from rema_data.convert.base import ExportedFile, ExportOptions
-from rema_data.convert.formats import find_format, installed_formats
+from rema_data.convert.formats import find_format
 from rema_data.convert.inbound import Imported, import_release
 from rema_data.convert.outbound import export_release
 
@@ -20,5 +20,4 @@ __all__ = [
     "export_release",
     "find_format",
     "import_release",
-    "installed_formats",
 ]
