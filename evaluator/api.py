@@ -62,7 +62,7 @@ def evaluate(
     address : str, optional
         Of a Ray cluster.
     shard : str, optional
-        ``"I/N"``: play this part of the scenarios only; ``rema merge`` merges the parts.
+        ``"I/N"``: play this shard of the scenarios only; ``rema merge`` merges the shards.
     batch_size : int
         Observations in one question to the policy.
     sandbox : str, optional

@@ -20,6 +20,7 @@ MODULES = [
 @pytest.mark.parametrize("name", MODULES)
 def test_examples(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("REMA_HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
     failed, tried = doctest.testmod(importlib.import_module(name), optionflags=doctest.ELLIPSIS)
     assert tried and not failed
 
