@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -63,12 +64,12 @@ class Kind(ABC):
     sides: ClassVar[tuple[float, ...]] = SIDES
     turns: ClassVar[tuple[float, ...]] = (0.0, 0.0)
 
-    @property
+    @cached_property
     def two_arms(self) -> bool:
         """Whether both arms act as one."""
         return self.step.embodiment.two_arms
 
-    @property
+    @cached_property
     def bare(self) -> bool:
         """Whether the fingers may touch the target; otherwise they must not, and something is held."""
         return self.step.embodiment.bare
@@ -162,6 +163,8 @@ class Kind(ABC):
         """Fingers and tool of every hand: two fingers, then the boxes of its tool."""
         distances, openings = self.distances(situation, closed, p), self.openings(situation, closed, p)
         grips = self.grips(situation) or (None,)
+        if not self.two_arms:  # the hand's frame is that of the action
+            return [list(hand_footprint(openings[0], grips[0], p))]
         return [
             [rect.moved(side * far, 0.0, turn) for rect in hand_footprint(opening, grip, p)]
             for grip, side, turn, far, opening in zip(grips, self.sides, self.turns, distances, openings, strict=False)
