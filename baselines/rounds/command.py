@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from evaluator.cli.engine_options import engine_options
+from evaluator.cli.options import device_option, engine_options, json_option, workers_option
+from evaluator.cli.output import line, print_json, print_table, styled
 
 if TYPE_CHECKING:
     from baselines.rounds.collect import Collected
@@ -17,26 +17,19 @@ if TYPE_CHECKING:
 
 __all__ = ["collect", "rounds"]
 
+_output_option = click.option(
+    "--output", type=click.Path(path_type=Path), default=Path("releases"), show_default=True, help="Folder of releases."
+)
+
 
 @click.command()
 @click.argument("plan", type=click.Path(path_type=Path))
-@click.option(
-    "--output", type=click.Path(path_type=Path), default=Path("releases"), show_default=True, help="Folder of releases."
-)
+@_output_option
 @engine_options
 @click.option("--dry-run", is_flag=True, help="Print episodes, policies, expected time and size; collect nothing.")
 @click.option("--register", "publish", is_flag=True, help="Also enter the release in manifests/datasets.")
-@click.option("--json", "as_json", is_flag=True, help="Print one object.")
-def collect(
-    plan: Path,
-    output: Path,
-    workers: int | None,
-    engine: str,
-    address: str | None,
-    dry_run: bool,
-    publish: bool,
-    as_json: bool,
-) -> None:
+@json_option
+def collect(plan: Path, output: Path, dry_run: bool, publish: bool, as_json: bool, **engine_and_workers: Any) -> None:
     """Play every episode of PLAN, a TOML file, and seal the release that it names.
 
     To resume a collection that was stopped or killed, run the same command again. Policies are named as for
@@ -52,14 +45,14 @@ def collect(
 
         inherit(wanted, output)
         with StderrProgress() as progress:
-            expected = estimate(wanted, engine=engine, workers=workers, address=address, progress=progress)
+            expected = estimate(wanted, progress=progress, **engine_and_workers)
         _print_expected(wanted.about.name, expected, as_json)
         return
 
     from baselines.rounds.collect import collect as run
 
     with StderrProgress() as progress:
-        done = run(wanted, output, engine=engine, workers=workers, address=address, progress=progress)
+        done = run(wanted, output, progress=progress, **engine_and_workers)
     if publish:
         from rema_data.release.registry import register
 
@@ -69,14 +62,12 @@ def collect(
 
 @click.command()
 @click.argument("plan", type=click.Path(path_type=Path))
-@click.option(
-    "--output", type=click.Path(path_type=Path), default=Path("releases"), show_default=True, help="Folder of releases."
-)
+@_output_option
 @click.option("--stages", type=click.IntRange(min=1), help="Stop after so many stages.")
 @click.option("--network", metavar="FOLDER/NAME", help="Train this network of a sealed round, and nothing else.")
-@click.option("--workers", type=click.IntRange(min=1), help="Simulation processes.  [default: one a core]")
+@workers_option
 @click.option("--register", "publishing", is_flag=True, help="Then enter release and networks in the manifests.")
-@click.option("--device", default="cpu", show_default=True, help="Of the trainings.")
+@device_option
 def rounds(
     plan: Path,
     output: Path,
@@ -97,7 +88,7 @@ def rounds(
 
     def show(stage: Stage) -> None:
         how = "was there" if stage.already else f"done in {stage.seconds:.0f} s"
-        click.echo(f"round {stage.round}: {stage.what} {how}")
+        line(f"round {stage.round}: {stage.what} {how}")
 
     wanted = load_recursion(plan)
     with StderrProgress() as progress:
@@ -121,15 +112,15 @@ def _print_done(done: Collected, as_json: bool) -> None:
     manifest = done.release.manifest
     if as_json:
         facts = {"release": manifest.name, "path": str(done.release.path), "sha256": manifest.sha256}
-        click.echo(json.dumps({**facts, "already": done.already, "counts": manifest.counts}, indent=2))
+        print_json({**facts, "already": done.already, "counts": manifest.counts})
         return
     counts = manifest.counts
     what = "was sealed before, by the same plan" if done.already else "is sealed"
-    click.echo(
+    line(
         f"{done.release.path} {what}: {counts['episodes']:,} episodes, {counts['steps']:,} steps, "
         f"{decimal(counts['bytes'])}"
     )
-    click.echo(f"sha256 {manifest.sha256}")
+    line(f"sha256 {manifest.sha256}")
 
 
 def _print_expected(name: str, expected: Sequence[Estimate], as_json: bool) -> None:
@@ -151,31 +142,24 @@ def _print_expected(name: str, expected: Sequence[Estimate], as_json: bool) -> N
         }
         for entry in expected
     ]
-    click.echo(json.dumps({"release": name, "blocks": blocks, "totals": totals}, indent=2))
+    print_json({"release": name, "blocks": blocks, "totals": totals})
 
 
 def _print_table(name: str, expected: Sequence[Estimate], totals: dict[str, Any]) -> None:
-    from rich import box
-    from rich.console import Console
     from rich.filesize import decimal
-    from rich.table import Table
 
-    click.echo(f"{name}: not collected")
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    for column in ("round", "task", "split", "policy", "picks", "episodes", "time", "size"):
-        right = column in ("episodes", "time", "size")
-        names = column in ("policy", "picks")
-        table.add_column(column, justify="right" if right else "left", no_wrap=not names, overflow="fold")
+    line(f"{name}: not collected")
+    rows: list[Sequence[Any] | None] = []
     for entry in expected:
         block = entry.block
         *picks, last = (use.spec.name for use in block.policies)
         where = (str(block.key.round), block.key.task, block.key.split)
         cost = (f"{block.episodes:,}", _duration(entry.seconds), decimal(entry.bytes))
-        table.add_row(*where, last, ", ".join(dict.fromkeys(picks)), *cost)
-    table.add_section()
+        rows.append((*where, last, ", ".join(dict.fromkeys(picks)), *cost))
     cost = (f"{totals['episodes']:,}", _duration(totals["seconds"]), decimal(totals["bytes"]))
-    table.add_row("all", "", "", "", "", *cost, style="bold")
-    Console().print(table)
+    rows += [None, styled(("all", "", "", "", "", *cost), "bold")]
+    numbers = ("episodes", "time", "size")
+    print_table(("round", "task", "split", "policy", "picks", *numbers), rows, right=numbers)
 
 
 def _duration(seconds: float) -> str:

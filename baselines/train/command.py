@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import click
 
+from evaluator.cli.options import device_option, json_option
+from evaluator.cli.output import line, print_json
 from rema_data.schema import Primitive
 
 __all__ = ["train"]
@@ -45,9 +46,9 @@ def _names(context: click.Context, parameter: click.Parameter, value: str | None
 @click.option("--up-align-corners/--no-up-align-corners", default=True, show_default=True)
 @click.option("--correlation-scale", type=click.Choice(["none", "cells"]), default="none", show_default=True)
 @click.option("--pictures", type=click.Path(path_type=Path), metavar="FILE.png", help="Draw maps of validation steps.")
-@click.option("--device", default="cpu", show_default=True)
+@device_option
 @click.option("--deterministic", is_flag=True, help="Refuse operations that may differ between two runs.")
-@click.option("--json", "as_json", is_flag=True, help="Print the card of the network alone.")
+@json_option
 def train(
     release: str,
     output: Path,
@@ -90,11 +91,11 @@ def train(
 
         draw_maps(load_checkpoint(output / chosen)[0], open_data(opened, config).validation, pictures)
     if as_json:
-        click.echo(json.dumps(done.checkpoint.to_dict(), indent=2))
+        print_json(done.checkpoint.to_dict())
         return
     measures = done.checkpoint.metrics
     how = "was there" if done.already else "is trained"
-    click.echo(
+    line(
         f"{done.folder / done.name}.safetensors {how}: validation AUC {measures['auc']:.3f}, balanced accuracy "
         f"{measures['balanced_accuracy']:.1%} after {done.checkpoint.updates:,} updates"
     )

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from evaluator.cli.options import json_option, policy_options, tasks_option
+from evaluator.cli.output import line, print_json, print_table
 from rema_data.errors import SubmissionError
-from rema_data.schema import TASKS
 
 if TYPE_CHECKING:
     from evaluator.policy.check_report import PolicyReport
@@ -21,21 +20,11 @@ _STYLES = {"ok": "green", "warning": "yellow", "refused": "bold red"}
 
 @click.command()
 @click.argument("policy")
-@click.option("--task", "tasks", multiple=True, type=click.Choice(list(TASKS)), help="Only these.  [default: all]")
-@click.option("--checkpoint", type=click.Path(path_type=Path), help="Weights, handed to the policy.")
-@click.option("--device", default="cpu", show_default=True, help="Handed to the policy, such as cuda:0.")
-@click.option("--sandbox", metavar="CMD", help="Wrapper of the policy's process, as for `rema evaluate`.")
-@click.option("--json", "as_json", is_flag=True, help="Print one object.")
+@tasks_option
+@policy_options
+@json_option
 @click.pass_context
-def check(
-    ctx: click.Context,
-    policy: str,
-    tasks: tuple[str, ...],
-    checkpoint: Path | None,
-    device: str,
-    sandbox: str | None,
-    as_json: bool,
-) -> None:
+def check(ctx: click.Context, /, policy: str, tasks: tuple[str, ...] | None, as_json: bool, **options: Any) -> None:
     """Load POLICY in the sandbox and ask it some questions of every task: what would be refused, and how to fix it.
 
     POLICY is my_policy.py, my_policy.py:ClassName, or the name of an installed policy. The questions are validation
@@ -48,11 +37,9 @@ def check(
     from evaluator.policy.check import check_policy
 
     with StderrProgress() as progress:
-        report = check_policy(
-            policy, task=tasks, checkpoint=checkpoint, device=device, sandbox=sandbox, progress=progress
-        )
+        report = check_policy(policy, task=tasks, progress=progress, **options)
     if as_json:
-        click.echo(json.dumps(report.to_dict(), indent=2))
+        print_json(report.to_dict())
     else:
         _print(report)
     if not report.ok:
@@ -60,22 +47,15 @@ def check(
 
 
 def _print(report: PolicyReport) -> None:
-    from rich.console import Console
-    from rich.table import Table
     from rich.text import Text
 
-    console = Console()
-    table = Table(show_header=False, box=None, padding=(0, 1))
-    table.add_column(no_wrap=True)
-    table.add_column(no_wrap=True)
-    table.add_column(overflow="fold")
-    for result in report.results:
-        table.add_row(Text(result.status, style=_STYLES[result.status]), result.name, Text(result.found))
-        if result.fix:
-            table.add_row("", "", Text(f"to fix this: {result.fix}", style="dim"))
     seen = ", sees the ground truth" if report.privileged else ""
-    console.print(Text(f"{report.policy} ({report.class_name} in {report.file}){seen}", style="bold"), soft_wrap=True)
-    console.print(table)
+    line(f"{report.policy} ({report.class_name} in {report.file}){seen}", "bold")
+    rows = [(Text(one.status, style=_STYLES[one.status]), one.name, one.found) for one in report.results]
+    print_table(("", "", ""), rows)
+    for result in report.results:
+        if result.fix:
+            line(f"to fix {result.name}: {result.fix}", "yellow")
     memory = report.peak_memory_bytes
     used = "" if memory is None else f"; at most {memory / (1 << 20):,.0f} MiB of memory"
-    console.print(Text(f"{report.decisions:,} decisions in {', '.join(report.tasks)}{used}", style="dim"))
+    line(f"{report.decisions:,} decisions in {', '.join(report.tasks)}{used}", "dim")

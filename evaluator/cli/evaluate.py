@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from evaluator.cli.engine_options import engine_options
+from evaluator.cli.options import engine_options, json_option, policy_options
 from evaluator.protocol import PROTOCOLS
 from rema_data.schema import TASKS
 
@@ -17,14 +17,13 @@ __all__ = ["evaluate"]
 @click.command()
 @click.argument("policy")
 @click.option("--task", required=True, type=click.Choice(list(TASKS)), help="What has to be done.")
-@click.option("--checkpoint", type=click.Path(path_type=Path), help="Weights, handed to the policy.")
 @click.option("--episodes", type=click.IntRange(min=1), default=10_000, show_default=True, help="First N scenarios.")
+@policy_options
 @engine_options
 @click.option("--shard", metavar="I/N", help="Play this shard of the scenarios; `rema merge` merges them.")
 @click.option("--protocol", type=click.Choice(list(PROTOCOLS)), default="conditional", show_default=True)
 @click.option("--split", type=click.Choice(["test", "val"]), default="test", show_default=True)
 @click.option("--output", type=click.Path(path_type=Path), help="Run folder.  [default: runs/POLICY-TASK-PROTOCOL]")
-@click.option("--device", default="cpu", show_default=True, help="Handed to the policy, such as cuda:0.")
 @click.option("--batch-size", type=click.IntRange(1, 4096), default=64, show_default=True, help="Observations a call.")
 @click.option(
     "--quick",
@@ -32,8 +31,7 @@ __all__ = ["evaluate"]
     type=click.Path(path_type=Path),
     help="Stop as soon as the policy is better or worse than that of RUN; unranked.",
 )
-@click.option("--sandbox", metavar="CMD", help="Wrapper of the policy's process (bwrap, ...): docs/threat_model.md.")
-@click.option("--json", "as_json", is_flag=True, help="Print the summary object alone.")
+@json_option
 def evaluate(policy: str, as_json: bool, **options: Any) -> None:
     """Score POLICY on frozen scenarios and print its success rate with a 95 % interval.
 

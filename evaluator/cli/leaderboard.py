@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from evaluator.cli.options import json_option
 from rema_data.errors import MissingFileError
 
 __all__ = ["leaderboard"]
@@ -16,11 +17,11 @@ __all__ = ["leaderboard"]
 @click.option(
     "--export", "form", type=click.Choice(["md", "html", "tex", "csv", "json"]), help="Print this format instead."
 )
-@click.option("--json", "as_json", is_flag=True, help="The same as --export json.")
+@json_option
 @click.option("--entries/--no-entries", default=True, help="The entries that come with rema too.  [default: yes]")
 @click.option("--published/--no-published", default=True, help="The paper's rows too.  [default: yes]")
 def leaderboard(runs: tuple[Path, ...], form: str | None, as_json: bool, entries: bool, published: bool) -> None:
-    """Compare RUNS in one table, with 95 % intervals and letters for those that do not differ beyond chance.
+    """Compare RUNS in one table, with 95 % intervals and letters for those without a significant difference.
 
     RUNS are run folders of `rema evaluate` and entries of `rema submit`; by default all run folders below runs/.
     Only runs over the full test list have a rank. A run that is not finished, or damaged, is left out and named; where
@@ -31,7 +32,7 @@ def leaderboard(runs: tuple[Path, ...], form: str | None, as_json: bool, entries
 
     board = make_board(runs or None, entries=entries, published=published)
     if as_json or form:
-        click.echo(export(board, "json" if as_json or form is None else form), nl=False)
+        click.echo(export(board, "json" if as_json else str(form)), nl=False)
     else:
         from evaluator.cli.board import print_board
 

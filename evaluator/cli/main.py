@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 import click
 
+from evaluator.cli.output import note
 from rema_data.errors import InputError, RemaError
 
 __all__ = ["VERBS", "Verb", "cli"]
@@ -89,20 +90,18 @@ class _Verbs(click.Group):
             with _stop_signals():
                 return super().invoke(ctx)
         except RemaError as error:
-            click.echo(f"rema: {error.message}", err=True)
-            if error.hint:
-                click.echo(error.hint, err=True)
+            note(f"rema: {error}")
             ctx.exit(error.exit_code)
         except OSError as error:
             if error.errno == errno.EPIPE:
                 raise  # the reader of our output has closed it: click ends silently
             place = "" if error.filename is None else f": {error.filename}"
-            click.echo(f"rema: the system refused: {error.strerror or error}{place}", err=True)
+            note(f"rema: the system refused: {error.strerror or error}{place}")
             ctx.exit(InputError.exit_code)
         except KeyboardInterrupt:
             atexit.register(_say_no_more)
             end = " to resume" if ctx.invoked_subcommand in RESUMED else ""
-            click.echo(f"\nrema: interrupted; run the same command again{end}", err=True)
+            note(f"\nrema: interrupted; run the same command again{end}")
             ctx.exit(INTERRUPTED)
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
+from evaluator.cli.options import checkpoint_option, json_option, rounds_option, tasks_option
+from evaluator.cli.output import line, plain, print_json, print_table
 from evaluator.protocol import PROTOCOLS
 from rema_data.errors import InputError
 from rema_data.schema import TASKS, Failure
@@ -23,12 +24,12 @@ _OF_RELEASES = ("release", "rounds", "episodes", "count", "which", "success", "f
 
 
 @click.command()
-@click.option("--task", "tasks", multiple=True, type=click.Choice(list(TASKS)), help="Of a release: repeatable.")
+@tasks_option
 @click.option("--split", type=click.Choice(["test", "val", "train"]), help="Of scenarios: test or val.")
 @click.option("--output", type=click.Path(path_type=Path), help="PNG file, or HTML for a release.")
-@click.option("--json", "as_json", is_flag=True, help="Print one object.")
+@json_option
 @click.option("--release", metavar="RELEASE", help="Name or folder.  [default: the newest one on this machine]")
-@click.option("--round", "rounds", multiple=True, type=click.IntRange(min=1), help="Only this round (repeatable).")
+@rounds_option
 @click.option("--episode", "episodes", multiple=True, type=click.IntRange(min=0), help="All its steps (repeatable).")
 @click.option("--count", type=click.IntRange(1, 1000), help="Draw so many steps.  [default: 12]")
 @click.option("--which", type=click.Choice(["last", "picks", "all"]), help="Steps to draw from.  [default: last]")
@@ -37,7 +38,7 @@ _OF_RELEASES = ("release", "rounds", "episodes", "count", "which", "success", "f
 @click.option("--table", "as_table", is_flag=True, default=None, help="Print a table; draw only with --output.")
 @click.option("--scenario", "index", type=click.IntRange(min=0), help="Position in the frozen list of the task.")
 @click.option("--policy", metavar="POLICY", help="Who acts: as for `rema evaluate`.  [default: scripted]")
-@click.option("--checkpoint", type=click.Path(path_type=Path), help="Weights, handed to the policy.")
+@checkpoint_option
 @click.option("--action", metavar="I,J,K", help="Row, column and angle, instead of a policy.")
 @click.option("--protocol", type=click.Choice(list(PROTOCOLS)), help="[default: conditional]")
 @click.pass_context
@@ -65,12 +66,12 @@ def preview(ctx: click.Context, /, index: int | None, **options: Any) -> None:
 
 
 def _preview_release(
-    tasks: tuple[str, ...],
+    tasks: tuple[str, ...] | None,
     split: str | None,
     output: Path | None,
     as_json: bool,
     release: str | None,
-    rounds: tuple[int, ...],
+    rounds: tuple[int, ...] | None,
     episodes: tuple[int, ...],
     count: int | None,
     which: Literal["last", "picks", "all"] | None,
@@ -90,8 +91,8 @@ def _preview_release(
     name = found.manifest.name
     steps = find_steps(
         found,
-        tasks or None,
-        rounds or None,
+        tasks,
+        rounds,
         split,
         episodes=episodes,
         which=which or "last",
@@ -104,41 +105,36 @@ def _preview_release(
         write_pictures(steps, path, f"{name} ({found.manifest.sha256[:12]})")
     if as_json:
         file = {} if path is None else {"file": str(path)}
-        click.echo(json.dumps({"release": name, **file, "steps": [dict(step.row) for step in steps]}))
+        print_json({"release": name, **file, "steps": [dict(step.row) for step in steps]})
         return
     if as_table:
         _print_table(steps, name)
     if path is not None:
-        click.echo(f"{path}: {len(steps)} steps")
+        line(f"{path}: {len(steps)} steps")
 
 
 def _print_table(steps: Sequence[GalleryStep], title: str) -> None:
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
     from rema_data.pictures import outcome_text
 
-    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in ("step", "episode", "policy", "i,j,k", "cm", "outcome"):
-        table.add_column(column, justify="right" if column == "cm" else "left", overflow="fold")
+    rows = []
     for row in (step.row for step in steps):
         push = row["primitive"] == "push"
-        table.add_row(
-            f"{row['task']} {row['step'] + 1}/{len(TASKS[row['task']])}",
-            f"{row['round']} {row['split']} {row['episode']}",
-            Text(row["policy"]),
-            f"{row['i']},{row['j']},{row['k']}",
-            f"{(row['displacement_m'] if push else row['lift_m']) * 100:+.1f} {'x' if push else 'z'}",
-            Text(outcome_text(row), style="green" if row["success"] else "red"),
+        rows.append(
+            (
+                f"{row['task']} {row['step'] + 1}/{len(TASKS[row['task']])}",
+                f"{row['round']} {row['split']} {row['episode']}",
+                row["policy"],
+                f"{row['i']},{row['j']},{row['k']}",
+                f"{(row['displacement_m'] if push else row['lift_m']) * 100:+.1f} {'x' if push else 'z'}",
+                plain(outcome_text(row), "green" if row["success"] else "red"),
+            )
         )
-    Console().print(table)
+    print_table(("step", "episode", "policy", "i,j,k", "cm", "outcome"), rows, title=title, right=("cm",))
 
 
 def _preview_scenario(
     index: int,
-    tasks: tuple[str, ...],
+    tasks: tuple[str, ...] | None,
     split: str | None,
     output: Path | None,
     as_json: bool,
@@ -147,7 +143,7 @@ def _preview_scenario(
     action: str | None,
     protocol: str | None,
 ) -> None:
-    if len(tasks) != 1:
+    if tasks is None or len(tasks) != 1:
         raise InputError("a scenario belongs to one task", hint=f"name it: --task {next(iter(TASKS))}")
     if split == "train":
         raise InputError("there are no training scenarios", hint="use --split test or val, or --release")
@@ -156,7 +152,7 @@ def _preview_scenario(
         raise InputError(
             "--action takes the place of a policy, at the last step", hint="drop --policy and --protocol, or --action"
         )
-    wanted = None if action is None else _parse(action)
+    given = None if action is None else _parse(action)
     # Imported here, so that a mistyped option is answered at once.
     from evaluator.cli.quiet import import_pybullet
     from evaluator.policy.loading import resolve
@@ -170,9 +166,9 @@ def _preview_scenario(
 
     scenario = frozen_scenario(load_list(task, split), index, protocol)
     with FilmMaker() as films:
-        if wanted is not None:
+        if given is not None:
             situation = scenario.last_situation()
-            take, who = films.take(situation, check_action(situation, *wanted)), "a given action"
+            take, who = films.take(situation, check_action(situation, *given)), "a given action"
         else:
             spec = resolve(policy or "scripted")
             who = spec.name
@@ -182,10 +178,10 @@ def _preview_scenario(
     write_preview(take, path, f"{task}, scenario {index} ({split}, {protocol}), {who}")
     outcome = take.outcome
     if as_json:
-        row = {"file": str(path), "step": take.situation.step, "action": take.action, "outcome": to_dict(outcome)}
-        click.echo(json.dumps(row))
+        facts = {"step": take.situation.step, "action": take.action, "outcome": to_dict(outcome)}
+        print_json({"file": str(path), **facts})
     else:
-        click.echo(f"{path}: {'success' if outcome.success else outcome.failure}")
+        line(f"{path}: {'success' if outcome.success else outcome.failure}")
 
 
 def _parse(action: str) -> tuple[int, int, int]:

@@ -7,9 +7,7 @@ import time
 from types import TracebackType
 from typing import Self
 
-from rich.console import Console
 from rich.filesize import decimal
-from rich.logging import RichHandler
 from rich.progress import (
     BarColumn,
     DownloadColumn,
@@ -24,6 +22,8 @@ from rich.progress import (
 )
 from rich.text import Text
 
+from evaluator.cli import output
+
 __all__ = ["StderrProgress"]
 
 _LINE_EVERY_S = 30.0
@@ -37,7 +37,7 @@ class _Rate(ProgressColumn):
         return Text("" if speed is None else f"{speed:,.1f}/s", style="progress.data.speed")
 
 
-class StderrProgress:
+class StderrProgress(logging.Handler):
     """``rema_data.progress.Progress`` on stderr, as a context manager.
 
     Warnings of the library appear above the bars meanwhile.
@@ -49,7 +49,8 @@ class StderrProgress:
     """
 
     def __init__(self, in_bytes: bool = False) -> None:
-        self._console = Console(stderr=True)
+        super().__init__()
+        self._console = output.console(err=True)
         self._in_bytes = in_bytes
         columns = (DownloadColumn(), TransferSpeedColumn()) if in_bytes else (MofNCompleteColumn(), _Rate())
         more = (TimeRemainingColumn(elapsed_when_finished=True), TextColumn("{task.fields[detail]}"))
@@ -61,10 +62,9 @@ class StderrProgress:
         self._name, self._total, self._done, self._before = "", 0, 0, 0
         self._detail = ""
         self._began = self._line = time.monotonic()
-        self._handler = RichHandler(console=self._console, show_path=False, show_time=False, markup=False)
 
     def __enter__(self) -> Self:
-        logging.getLogger("evaluator").addHandler(self._handler)
+        logging.getLogger("evaluator").addHandler(self)
         if self._live:
             self._bars.start()
         return self
@@ -75,7 +75,11 @@ class StderrProgress:
         self._end_phase()
         if self._live:
             self._bars.stop()
-        logging.getLogger("evaluator").removeHandler(self._handler)
+        logging.getLogger("evaluator").removeHandler(self)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """A warning of the library."""
+        self.note(f"{record.levelname.lower()}: {record.getMessage()}")
 
     def phase(self, name: str, total: int) -> None:
         """A phase of ``total`` items begins."""
@@ -108,8 +112,8 @@ class StderrProgress:
             self._bars.update(self._bar, detail=detail)
 
     def note(self, text: str) -> None:
-        """A message on a line of its own."""
-        self._console.print(text, markup=False, highlight=False)
+        """A message on a line of its own, above the bars."""
+        self._console.print(output.plain(text), soft_wrap=True)
 
     def _end_phase(self) -> None:
         if self._name and not self._live:

@@ -1,4 +1,4 @@
-"""``rema proof``: show that one episode is part of a run, to somebody who has only the root of the run."""
+"""``rema proof``: show that one episode is part of a run, to a reader who has only the root of the run."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from evaluator.cli.output import line, print_json
 from rema_data.errors import InputError, MissingFileError
 
 __all__ = ["proof"]
@@ -27,7 +28,7 @@ def proof(path: Path, episode: int | None, root: str | None, as_json: bool) -> N
     from evaluator.run.proof import check_proof, make_proof
 
     if episode is not None:
-        click.echo(json.dumps(make_proof(path, episode), indent=2))
+        print_json(make_proof(path, episode))
         return
     if not path.is_file():
         raise MissingFileError(f"there is no proof at {path}", hint="check the path", path=str(path))
@@ -37,7 +38,7 @@ def proof(path: Path, episode: int | None, root: str | None, as_json: bool) -> N
         raise InputError(f"{path} is not JSON: {error}", hint="make one: rema proof RUN --episode N") from error
     row = check_proof(content, str(root))
     if as_json:
-        click.echo(json.dumps(row, indent=2))
+        print_json(row)
     else:
         result = {True: "a success", False: f"a failure ({row.get('failure')})", None: "not measured"}
-        click.echo(f"{row.get('scenario')} is part of the run with this root: {result[row.get('success')]}")
+        line(f"{row.get('scenario')} is part of the run with this root: {result[row.get('success')]}")

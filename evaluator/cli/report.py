@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
+
+from evaluator.cli.options import json_option, policy_options
+from evaluator.cli.output import line, note, print_json
 
 __all__ = ["report"]
 
@@ -19,12 +21,10 @@ _MEGABYTE = 1_000_000
     "--per-label", type=click.IntRange(0, 50), default=3, show_default=True, help="Episodes shown of every label."
 )
 @click.option("--policy", metavar="POLICY", help="The run's policy: adds its score maps and its calibration.")
-@click.option("--checkpoint", type=click.Path(path_type=Path), help="Weights of --policy, as for `rema evaluate`.")
-@click.option("--device", default="cpu", show_default=True, help="Handed to the policy, such as cuda:0.")
+@policy_options
 @click.option("--scored", type=click.IntRange(0, 10_000), default=200, show_default=True, help="Episodes to calibrate.")
-@click.option("--sandbox", metavar="CMD", help="Wrapper of the policy's process, as for `rema evaluate`.")
 @click.option("--limit-mb", type=click.FloatRange(min=0.5), default=15.0, show_default=True, help="Size of the page.")
-@click.option("--json", "as_json", is_flag=True, help="Print one object.")
+@json_option
 def report(
     run: Path,
     output: Path | None,
@@ -52,10 +52,9 @@ def report(
     from evaluator.report import ReportOptions, write_report
     from rema_data.errors import InputError
 
-    if checkpoint is not None and policy is None:
-        raise InputError("--checkpoint belongs to a policy", hint="name it with --policy, or drop --checkpoint")
-    if sandbox is not None and policy is None:
-        raise InputError("--sandbox belongs to a policy", hint="name it with --policy, or drop --sandbox")
+    for option, value in (("--checkpoint", checkpoint), ("--sandbox", sandbox)):
+        if value is not None and policy is None:
+            raise InputError(f"{option} belongs to a policy", hint=f"name it with --policy, or drop {option}")
     spec = None if policy is None else resolve(policy)
     weights = None if spec is None else weights_of(spec, checkpoint)
     options = ReportOptions(per_label, int(limit_mb * _MEGABYTE), spec, weights, device, scored, sandbox)
@@ -70,9 +69,9 @@ def report(
             "episodes_scored": written.scored,
             "pictures_left_out": written.left_out,
         }
-        click.echo(json.dumps(answer))
+        print_json(answer)
         return
-    click.echo(f"{written.path}: {written.size / _MEGABYTE:.1f} MB, {written.shown} episodes")
+    line(f"{written.path}: {written.size / _MEGABYTE:.1f} MB, {written.shown} episodes")
     different = written.agreement.get("different", 0)
     if different:
-        click.echo(f"{different} of them ended differently when they were played again; the page says which", err=True)
+        note(f"{different} of them ended differently when they were played again; the page says which")

@@ -1,19 +1,17 @@
-"""What ``rema evaluate`` prints at its end."""
+"""What ``rema evaluate`` and ``rema merge`` print at their end."""
 
 from __future__ import annotations
 
-import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import click
-from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
+from evaluator.cli.output import console, line, plain, print_facts, print_json, print_table
 from evaluator.statistics import format_rate
 
-__all__ = ["audit_text", "print_result"]
+__all__ = ["audit_texts", "print_result"]
 
 _BAR_WIDTH = 30
 _PHASES = ("observe", "infer", "simulate", "audit")
@@ -22,100 +20,86 @@ _PHASES = ("observe", "infer", "simulate", "audit")
 def print_result(summary: dict[str, Any], folder: Path, as_json: bool) -> None:
     """Print the summary of a run on stdout: as a JSON object alone, or as tables for people."""
     if as_json:
-        click.echo(json.dumps(summary, indent=2))
+        print_json(summary)
         return
-    console = Console()
-    console.print()
-    console.print(_facts(summary))
+    print_facts(_facts(summary))
     if summary["failures"]:
-        console.print(_failures(summary, "#" if console.options.ascii_only else "█"))
-    console.print(_seconds(summary))
-    console.print(Text(f"run folder: {folder} (`rema replay` checks it)"), soft_wrap=True)
+        _print_failures(summary)
+    line(_seconds(summary))
+    line(f"run folder: {folder} (`rema replay` checks it)")
 
 
-def _facts(summary: dict[str, Any]) -> Table:
-    table = Table(show_header=False, box=None, padding=(0, 1))
-    table.add_column(justify="right", style="dim")
-    table.add_column(overflow="fold")
+def _facts(summary: dict[str, Any]) -> Iterator[tuple[str, str | Text]]:
     privileged = " (privileged: sees the ground truth)" if summary.get("privileged") else ""
-    table.add_row("policy", Text(f"{summary['policy']}{privileged}"))
-    table.add_row("task", Text(f"{summary['task']}, {summary['protocol']}"))
+    yield "policy", f"{summary['policy']}{privileged}"
+    yield "task", f"{summary['task']}, {summary['protocol']}"
     successes, eligible = summary["successes"], summary["eligible"]
     rate = Text(format_rate(successes, eligible), style="bold")
-    table.add_row("success rate", rate.append(" (95 %)" if eligible else " (no eligible episode)", style="dim"))
-    table.add_row("successes", Text(f"{successes:,} of {eligible:,} eligible episodes"))
+    yield "success rate", rate.append(" (95 %)" if eligible else " (no eligible episode)", style="dim")
+    yield "successes", f"{successes:,} of {eligible:,} eligible episodes"
     if summary["policy_errors"]:
-        table.add_row("policy errors", Text(f"{summary['policy_errors']:,} (counted as failures)", style="yellow"))
+        yield "policy errors", Text(f"{summary['policy_errors']:,} (counted as failures)", style="yellow")
     if summary["infra_errors"]:
         bounds = ""
         if summary.get("success_rate_bounds"):
             low, high = (100 * bound for bound in summary["success_rate_bounds"])
             bounds = f"; the rate is in {low:.1f} .. {high:.1f} %"
-        table.add_row("infra errors", Text(f"{summary['infra_errors']:,} (not counted){bounds}", style="red"))
+        yield "infra errors", Text(f"{summary['infra_errors']:,} (not counted){bounds}", style="red")
     if summary.get("unfinished"):
-        table.add_row("not finished", Text(f"{summary['unfinished']:,} episodes: this run is partial", style="red"))
+        yield "not finished", Text(f"{summary['unfinished']:,} episodes: this run is partial", style="red")
     if summary.get("stopped_early"):
-        table.add_row("quick look", Text(_look(summary["stopped_early"])))
+        yield "quick look", _quick_text(summary["stopped_early"])
     if summary.get("audit"):
-        table.add_row("repeated", audit_text(summary["audit"]))
+        yield from (("audit", text) for text in audit_texts(summary["audit"]))
     if summary.get("isolation"):
-        table.add_row("sandbox", Text(summary["isolation"]))
+        yield "sandbox", summary["isolation"]
     if summary["protocol"] == "end-to-end":
         for step in summary.get("funnel", ()):
             passed = format_rate(step["succeeded"], step["attempted"])
-            table.add_row(
+            yield (
                 f"step {step['step'] + 1}",
-                Text(f"{step['succeeded']:,} of {step['attempted']:,} that reached it, {passed}"),
+                f"{step['succeeded']:,} of {step['attempted']:,} that reached it, {passed}",
             )
-    return table
 
 
-def _look(look: dict[str, Any]) -> str:
-    """What a look at a run that has not ended says."""
+def _quick_text(look: dict[str, Any]) -> str:
+    """The comparison that ended a quick run."""
     low, high = (100 * end for end in look["difference_interval"])
-    what = look["verdict"] if look["verdict"] == "undecided" else f"{look['verdict']} than"
-    against = f" against {look['against']}" if look["verdict"] == "undecided" else f" {look['against']}"
+    link = "against" if look["verdict"] == "undecided" else "than"
     return (
-        f"{what}{against} on {look['pairs']:,} scenarios: the difference is in {low:+.1f} .. {high:+.1f} points "
-        "at every look; no rank"
+        f"{look['verdict']} {link} {look['against']} on {look['pairs']:,} scenarios: the difference is in "
+        f"{low:+.1f} .. {high:+.1f} points at every look; no rank"
     )
 
 
-def audit_text(audit: dict[str, Any]) -> Text:
-    """What came of the repeated share of a run, with the upper ends of the 95 % intervals."""
-    parts = []
-    for what in ("action", "outcome"):
+def audit_texts(audit: dict[str, Any]) -> Iterator[Text]:
+    """The audit of a run, with the upper ends of the 95 % intervals."""
+    for what, repeated in (("action", "re-run"), ("outcome", "simulated again")):
         count, flips = audit[f"{what}s"], audit[f"{what}_flips"]
-        bound = 100 * audit[f"{what}_flips_ci95"][1]
-        again = "asked for again" if what == "action" else "simulated again"
-        parts.append(f"{count:,} {what}s {again}: {flips:,} differed (95 % upper bound {bound:.1f} %)")
+        bound = f"95 % upper bound {100 * audit[f'{what}_flips_ci95'][1]:.1f} %"
+        yield plain(f"{count:,} {what}s {repeated}: {flips:,} differed ({bound})", "red" if flips else "")
     if audit["lost"]:
-        parts.append(f"{audit['lost']:,} could not be repeated")
-    flipped = audit["action_flips"] or audit["outcome_flips"]
-    return Text("; ".join(parts), style="red" if flipped else "")
+        yield plain(f"{audit['lost']:,} could not be repeated", "yellow")
 
 
-def _failures(summary: dict[str, Any], block: str) -> Table:
-    table = Table(box=None, padding=(0, 1), title="why episodes failed", title_justify="left", title_style="dim")
-    table.add_column(justify="right", header_style="dim")
-    table.add_column(no_wrap=True, overflow="crop")
-    table.add_column(justify="right")
-    table.add_column(justify="right", style="dim")
+def _print_failures(summary: dict[str, Any]) -> None:
+    block = "#" if console().options.ascii_only else "█"
     counts = sorted(summary["failures"].items(), key=lambda item: (-item[1], item[0]))
-    largest = max((count for _, count in counts), default=0) or 1
+    largest = counts[0][1] or 1
+    rows = []
     for label, count in counts:
         bar = Text(block * max(1, round(_BAR_WIDTH * count / largest)) if count else "", style="red")
-        share = f"{100 * count / summary['eligible']:.1f} %" if summary["eligible"] else ""
-        table.add_row(Text(label), bar, f"{count:,}", share)
-    table.show_header = False
-    return table
+        share = f"{100 * count / summary['eligible']:.1f}" if summary["eligible"] else ""
+        rows.append((label, f"{count:,}", share, bar))
+    numbers = ("episodes", "% of eligible")
+    print_table(("failure", *numbers, ""), rows, right=numbers)
 
 
-def _seconds(summary: dict[str, Any]) -> Text:
+def _seconds(summary: dict[str, Any]) -> str:
     seconds = summary["seconds"]
     spent = {name: seconds[name] for name in _PHASES if name in seconds}
     spent["other"] = max(0.0, seconds["total"] - sum(spent.values()))
     phases = " + ".join(f"{name} {value:.1f}" for name, value in spent.items())
     speed = summary.get("episodes_per_second")
     rate = "" if speed is None else f", {speed:,.1f} episodes/s"
-    return Text(f"{phases} = {seconds['total']:.1f} s{rate}, {summary['workers']} workers")
+    return f"{phases} = {seconds['total']:.1f} s{rate}, {summary['workers']} workers"

@@ -8,37 +8,41 @@ from typing import TYPE_CHECKING
 
 import click
 
+from evaluator.cli.options import checkpoint_option, device_option, tasks_option, workers_option
+from evaluator.cli.output import line
 from rema_data.schema import TASKS
 
 if TYPE_CHECKING:
     from evaluator.scenarios.policy_picks import Picker
 
+__all__ = ["scenarios"]
+
 
 @click.command(name="scenarios")
 @click.argument("version")
-@click.option("--task", "tasks", multiple=True, type=click.Choice(list(TASKS)), help="Only these (repeatable).")
+@tasks_option
 @click.option("--test", "test_count", default=10_000, show_default=True, help="Scenarios in each test list.")
 @click.option("--val", "val_count", default=2_000, show_default=True, help="Scenarios in each validation list.")
 @click.option("--picker", help="Policy that picks the tools, such as tae.  [default: the reference picks]")
-@click.option("--checkpoint", type=click.Path(path_type=Path), help="Its networks.")
-@click.option("--device", default="cpu", show_default=True, help="Handed to the picker, such as openvino.")
+@checkpoint_option
+@device_option
 @click.option(
     "--keep",
     multiple=True,
     type=click.Choice(list(TASKS)),
     help="Tasks whose present lists are named again (repeatable).",
 )
-@click.option("--workers", default=0, help="Processes; as many as there are cores by default.")
+@workers_option
 def scenarios(
     version: str,
-    tasks: tuple[str, ...],
+    tasks: tuple[str, ...] | None,
     test_count: int,
     val_count: int,
     picker: str | None,
     checkpoint: Path | None,
     device: str,
     keep: tuple[str, ...],
-    workers: int,
+    workers: int | None,
 ) -> None:
     """Draw scenario lists under manifests/scenarios/VERSION. A list that its manifest names is never changed.
 
@@ -61,11 +65,10 @@ def scenarios(
     opened: AbstractContextManager[Picker | None] = nullcontext()
     if picker is not None:
         spec = resolve(picker)
-        weights = weights_of(spec, checkpoint)
         # Not beside the lists: what lies in manifests/ is frozen and published.
         log = rema_home() / "logs" / f"scenarios-{version}.log"
-        opened = open_picker(spec, weights, device, log, processes)
+        opened = open_picker(spec, weights_of(spec, checkpoint), device, log, processes)
     counts = {"test": test_count, "val": val_count}
     drawn = tasks or tuple(task for task in TASKS if task not in keep)
     with StderrProgress() as progress, process_pool(processes) as pool, opened as chosen:
-        click.echo(write_lists(version, pool, drawn, counts, progress=progress, picker=chosen, keep=keep))
+        line(str(write_lists(version, pool, drawn, counts, progress=progress, picker=chosen, keep=keep)))

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from evaluator.cli.options import json_option, release_argument
+from evaluator.cli.output import line, print_json, print_table, styled
+
 if TYPE_CHECKING:
-    from rich.table import Table
+    from rich.text import Text
 
     from rema_data.statistics.count import Statistics, StepCount
     from rema_data.statistics.paper import Comparison, Counts, PaperRow
@@ -20,10 +22,10 @@ __all__ = ["stats"]
 
 
 @click.command()
-@click.argument("release", required=False)
+@release_argument
 @click.option("--check-paper", is_flag=True, help="Beside the upper half of the paper's Table 2.")
 @click.option("--plot", type=click.Path(path_type=Path), metavar="FILE.png", help="Draw the data by round.")
-@click.option("--json", "as_json", is_flag=True, help="Print one object.")
+@json_option
 def stats(release: str | None, check_paper: bool, plot: Path | None, as_json: bool) -> None:
     """Count positives and negatives of RELEASE by round, task, split and step.
 
@@ -40,69 +42,50 @@ def stats(release: str | None, check_paper: bool, plot: Path | None, as_json: bo
 
         plot_rounds(found, plot)
     if as_json:
-        paper = {} if comparison is None else {"paper": comparison.to_dict()}
-        click.echo(json.dumps(found.to_dict() | paper, indent=2))
+        print_json(found.to_dict() | ({} if comparison is None else {"paper": comparison.to_dict()}))
         return
-    _print(found, comparison)
+    _print(found)
+    if comparison is not None:
+        _print_paper(comparison, found.release)
     if plot is not None:
-        click.echo(plot)
+        line(str(plot))
 
 
-def _print(found: Statistics, comparison: Comparison | None) -> None:
-    from rich.console import Console
-    from rich.text import Text
-
-    console = Console()
+def _print(found: Statistics) -> None:
     title = f"{found.release} ({found.sha256[:12]})"
     if found.steps:
+        counts = ["reached", "+", "-", "% +"]
         for number, rows in groupby(found.steps, key=lambda row: row.round):
-            console.print(_steps_table(rows, f"{title}, round {number}"))
-        console.print(_totals_table(found))
+            columns = ("task", "split", "step", "policy", *counts)
+            print_table(columns, _step_rows(rows), title=f"{title}, round {number}", right=counts)
+        counts = ["episodes", "steps", "last steps", "+", "-", "% +"]
+        title_of_sums = "all rounds and splits; + and - of the last steps"
+        print_table(("task", *counts), _total_rows(found), title=title_of_sums, right=counts)
     else:
-        console.print(Text(f"{title}: no block is on this machine"))
+        line(f"{title}: no block is on this machine")
     if found.missing:
-        console.print(Text(_missing(found), style="yellow"))
-    if comparison is not None:
-        console.print(_paper_table(comparison, found.release))
-        for remark in comparison.remarks:
-            console.print(Text(f"- {remark}"))
+        line(_missing(found), "yellow")
 
 
-def _table(title: str, columns: Sequence[str], numbers: int) -> Table:
-    """A table whose last ``numbers`` columns are numbers."""
-    from evaluator.cli.tables import make_table
-
-    no_wrap = [name for name in columns if name != "policy"]
-    return make_table(columns, title=title, right=columns[-numbers:], no_wrap=no_wrap)
-
-
-def _steps_table(rows: Iterable[StepCount], title: str) -> Table:
-    """Every step of every block of a round; what stays the same from row to row is printed once."""
-    table = _table(title, ("task", "split", "step", "policy", "reached", "+", "-", "% +"), 4)
-    for task, of_task in groupby(rows, key=lambda row: row.task):
-        name = task
-        for split, of_block in groupby(of_task, key=lambda row: row.split):
-            shown = split
-            for row in of_block:
-                step = f"{row.step + 1} {'last' if row.last else row.skill}"
-                counts = (f"{row.reached:,}", f"{row.positives:,}", f"{row.negatives:,}")
-                table.add_row(name, shown, step, row.policy or "-", *counts, _percent(row.positives, row.reached))
-                name = shown = ""
-        table.add_section()
-    return table
+def _step_rows(rows: Iterable[StepCount]) -> Iterator[tuple[str, ...] | None]:
+    """Every step of every block of a round."""
+    for number, (task, of_task) in enumerate(groupby(rows, key=lambda row: row.task)):
+        if number:
+            yield None
+        for row in of_task:
+            step = f"{row.step + 1} {'last' if row.last else row.skill}"
+            counts = (f"{row.reached:,}", f"{row.positives:,}", f"{row.negatives:,}")
+            yield task, row.split, step, row.policy or "-", *counts, _percent(row.positives, row.reached)
 
 
-def _totals_table(found: Statistics) -> Table:
-    columns = ("task", "episodes", "steps", "last steps", "+", "-", "% +")
-    table = _table("all rounds and splits; + and - of the last steps", columns, 6)
+def _total_rows(found: Statistics) -> Iterator[list[Text] | None]:
     rows = [(row.task, row.episodes, row.executed, row.reached, row.positives, row.negatives) for row in found.totals()]
     sums = [sum(column) for column in list(zip(*rows, strict=True))[1:]]
     for name, *counts in (*rows, ("sum", *sums)):
         if name == "sum":
-            table.add_section()
-        share = _percent(counts[3], counts[2])
-        table.add_row(name, *(f"{value:,}" for value in counts), share, style="bold" if name == "sum" else "")
-    return table
+            yield None
+        cells = (name, *(f"{value:,}" for value in counts), _percent(counts[3], counts[2]))
+        yield styled(cells, "bold" if name == "sum" else "")
 
 
 def _missing(found: Statistics) -> str:
@@ -115,23 +98,23 @@ def _missing(found: Statistics) -> str:
     )
 
 
-def _paper_table(comparison: Comparison, release: str) -> Table:
-    numbers = ("+", "-", "rows", "% +")
-    columns = ("", *(f"{whose}\n{name}" for whose in ("paper", "ours") for name in numbers))
-    table = _table(f"the paper's Table 2 beside {release}", columns, 2 * len(numbers))
-    for row in comparison.tasks:
-        table.add_row(row.name, *_cells(row))
-    table.add_section()
-    table.add_row(comparison.total.name, *_cells(comparison.total), style="bold")
-    for row in comparison.earlier:
-        table.add_row(row.name, *_cells(row))
-    table.add_section()
-    table.add_row(comparison.executed.name, *_cells(comparison.executed), style="bold")
-    return table
+def _print_paper(comparison: Comparison, release: str) -> None:
+    numbers = tuple(f"{source}\n{name}" for source in ("paper", "ours") for name in ("+", "-", "rows", "% +"))
+    rows = [
+        *map(_paper_cells, comparison.tasks),
+        None,
+        styled(_paper_cells(comparison.total), "bold"),
+        *map(_paper_cells, comparison.earlier),
+        None,
+        styled(_paper_cells(comparison.executed), "bold"),
+    ]
+    print_table(("", *numbers), rows, title=f"the paper's Table 2 beside {release}", right=numbers)
+    for remark in comparison.remarks:
+        line(f"- {remark}")
 
 
-def _cells(row: PaperRow) -> tuple[str, ...]:
-    return (*_counts(row.paper), *_counts(row.ours))
+def _paper_cells(row: PaperRow) -> tuple[str, ...]:
+    return (row.name, *_counts(row.paper), *_counts(row.ours))
 
 
 def _counts(counts: Counts | None) -> tuple[str, ...]:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
+import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-if TYPE_CHECKING:
-    from evaluator.leaderboard.eligibility import Check
+from evaluator.cli.options import json_option
+from evaluator.cli.output import line, print_json
 
 __all__ = ["submit"]
 
@@ -20,7 +19,7 @@ __all__ = ["submit"]
 @click.option("--link", default="", help="Address of its paper or code.")
 @click.option("--output", type=click.Path(path_type=Path), help="The entry.  [default: NAME-TASK-PROTOCOL.json]")
 @click.option("--check", "only_check", is_flag=True, help="Check the run and write nothing.")
-@click.option("--json", "as_json", is_flag=True, help="Print the checks and the entry's path as an object.")
+@json_option
 def submit(run: Path, name: str, link: str, output: Path | None, only_check: bool, as_json: bool) -> None:
     """Check RUN, a finished run folder over the full test list, and pack it into an entry of a few kilobytes.
 
@@ -28,12 +27,15 @@ def submit(run: Path, name: str, link: str, output: Path | None, only_check: boo
     """
     from evaluator.leaderboard.submission import check_run, make_entry
     from evaluator.run.entry import encode
+    from evaluator.statistics import format_rate
     from rema_data.errors import InputError
     from rema_data.storage import write_atomic
 
     checks = check_run(run)
-    if as_json and not all(check.passed for check in checks):
-        click.echo(_as_json(checks, None))
+    valid = all(check.passed for check in checks)
+    answer = {"valid": valid, "checks": [dataclasses.asdict(check) for check in checks], "entry": None}
+    if as_json and not valid:
+        print_json(answer)
     entry = make_entry(run, name, link)
     path = None
     if not only_check:
@@ -43,23 +45,10 @@ def submit(run: Path, name: str, link: str, output: Path | None, only_check: boo
             raise InputError(f"{path} is there already", hint="choose another file with --output", path=str(path))
         write_atomic(path, content)
     if as_json:
-        click.echo(_as_json(checks, path))
+        print_json({**answer, "entry": None if path is None else str(path)})
         return
-    from evaluator.statistics import format_rate
-
     counts = entry.counts
-    click.echo(f"{entry.policy}, {entry.task} ({entry.protocol}): {len(checks)} checks passed")
-    click.echo(f"success rate {format_rate(counts.successes, counts.eligible)}, {counts.successes}/{counts.eligible}")
+    line(f"{entry.policy}, {entry.task} ({entry.protocol}): {len(checks)} checks passed")
+    line(f"success rate {format_rate(counts.successes, counts.eligible)}, {counts.successes}/{counts.eligible}")
     if path is not None:
-        click.echo(f"entry: {path} ({path.stat().st_size:,} bytes)")
-
-
-def _as_json(checks: list[Check], path: Path | None) -> str:
-    import dataclasses
-
-    content = {
-        "valid": all(check.passed for check in checks),
-        "checks": [dataclasses.asdict(check) for check in checks],
-        "entry": None if path is None else str(path),
-    }
-    return json.dumps(content, indent=2)
+        line(f"entry: {path} ({path.stat().st_size:,} bytes)")

@@ -116,7 +116,7 @@ def test_what_there_is_to_trust_a_result_is_shown(recorder: Recorder) -> None:
     shown = " ".join(rema("evaluate", "random", "--task", "grasp").stdout.split())
     for words in (
         "sandbox L2",
-        "100 actions asked for again: 3 differed (95 % upper bound 8.5 %)",
+        "100 actions re-run: 3 differed (95 % upper bound 8.5 %)",
         "100 outcomes simulated again: 0 differed (95 % upper bound 3.6 %)",
         "2 could not be repeated",
         "better than scripted on 200 scenarios: the difference is in +2.0 .. +31.0 points",
@@ -177,10 +177,10 @@ def test_bad_input_is_a_sentence_and_exit_code_2(recorder: Recorder, arguments: 
     ],
 )
 def test_errors_end_in_their_exit_code(recorder: Recorder, kind: type[errors.RemaError], code: int) -> None:
-    recorder.error = kind("this is wrong", hint="mend it so")
+    recorder.error = kind("this is wrong", hint="fix it so")
     result = rema("evaluate", "random", "--task", "grasp")
     assert result.exit_code == code
-    assert result.stderr.endswith("rema: this is wrong\nmend it so\n") and result.stdout == ""
+    assert result.stderr.endswith("rema: this is wrong\nfix it so\n") and result.stdout == ""
 
 
 def test_a_bug_keeps_its_traceback(recorder: Recorder) -> None:

@@ -7,6 +7,7 @@ import sys
 import pytest
 from rich.console import Console
 
+from evaluator.cli import output
 from evaluator.cli import progress as module
 from evaluator.cli.progress import StderrProgress
 
@@ -23,7 +24,7 @@ def test_what_an_earlier_process_did_is_in_the_count_and_not_in_the_rate(
     assert "train: 100/100 in 10.0 s, 2.0/s" in capsys.readouterr().err
 
 
-def test_how_the_work_stands_is_in_its_lines(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_state_of_a_phase_is_in_its_lines(capsys: pytest.CaptureFixture[str]) -> None:
     with StderrProgress() as progress:
         progress.phase("train", 4)
         progress.tell("loss 0.7")
@@ -34,10 +35,11 @@ def test_how_the_work_stands_is_in_its_lines(capsys: pytest.CaptureFixture[str])
     assert first.startswith("train: 4/4") and first.endswith(", loss 0.5") and "loss" not in second
 
 
-def test_on_a_terminal_it_stands_beside_the_bar(
+def test_on_a_terminal_it_is_beside_the_bar(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(module, "Console", lambda stderr: Console(file=sys.stderr, force_terminal=True, width=120))
+    terminal = Console(file=sys.stderr, force_terminal=True, width=120)
+    monkeypatch.setattr(output, "console", lambda err: terminal)
     with StderrProgress() as progress:
         progress.phase("train", 4)
         progress.tell("loss 0.525")
