@@ -38,21 +38,21 @@ def collect(plan: Path, output: Path, dry_run: bool, publish: bool, as_json: boo
     from baselines.rounds.plan import load_plan
     from evaluator.cli.progress import StderrProgress
 
-    wanted = load_plan(plan)
+    read = load_plan(plan)
     if dry_run:
         from baselines.rounds.collect import inherit
         from baselines.rounds.estimate import estimate
 
-        inherit(wanted, output)
+        inherit(read, output)
         with StderrProgress() as progress:
-            expected = estimate(wanted, progress=progress, **engine_and_workers)
-        _print_expected(wanted.about.name, expected, as_json)
+            expected = estimate(read, progress=progress, **engine_and_workers)
+        _print_expected(read.about.name, expected, as_json)
         return
 
     from baselines.rounds.collect import collect as run
 
     with StderrProgress() as progress:
-        done = run(wanted, output, progress=progress, **engine_and_workers)
+        done = run(read, output, progress=progress, **engine_and_workers)
     if publish:
         from rema_data.release.registry import register
 
@@ -90,20 +90,20 @@ def rounds(
         how = "was there" if stage.already else f"done in {stage.seconds:.0f} s"
         line(f"round {stage.round}: {stage.what} {how}")
 
-    wanted = load_recursion(plan)
+    recursion = load_recursion(plan)
     with StderrProgress() as progress:
         if network is not None:
-            show(train_network(wanted, output, network, progress=progress, device=device))
+            show(train_network(recursion, output, network, progress=progress, device=device))
             return
         left = stages
-        for stage in recurse(wanted, output, progress=progress, workers=workers, device=device):
+        for stage in recurse(recursion, output, progress=progress, workers=workers, device=device):
             show(stage)
             if left is not None and not stage.already:
                 left -= 1
             if left == 0:
                 break
     if publishing:
-        publish(wanted, output)
+        publish(recursion, output)
 
 
 def _print_done(done: Collected, as_json: bool) -> None:

@@ -141,8 +141,8 @@ def _stop_signals() -> Iterator[None]:
             signal.signal(kind, handler)
 
 
-def _print_version(ctx: click.Context, parameter: click.Parameter, wanted: bool) -> None:
-    if wanted and not ctx.resilient_parsing:
+def _print_version(ctx: click.Context, parameter: click.Parameter, asked: bool) -> None:
+    if asked and not ctx.resilient_parsing:
         try:
             version = importlib.metadata.version("rema")
         except importlib.metadata.PackageNotFoundError:

@@ -95,7 +95,7 @@ def print_table(
     columns : sequence of str
         Titles; a table whose titles are all empty has no header.
     rows : iterable of sequence of str or Text
-        None is a rule between two rows, on a terminal.
+        None is a gap between two rows, on a terminal.
     title : str
     right : collection of str
         Columns that are aligned to the right.

@@ -63,7 +63,7 @@ def test_a_published_release_by_its_name(release: ReleaseFolder, monkeypatch: py
     assert "was there already" in again.stdout
 
 
-def test_a_damaged_shard_has_a_mending_that_works(release: ReleaseFolder, tmp_path: Path) -> None:
+def test_a_damaged_shard_has_a_fix_that_works(release: ReleaseFolder, tmp_path: Path) -> None:
     """The release is not published: neither its name nor a download leads anywhere."""
     copy = Path(shutil.copytree(release.path, tmp_path / "data" / "tiny"))
     shard = copy / "round-1" / "push" / "val" / "maps.zarr" / "scene" / "c" / "0" / "0" / "0"

@@ -42,7 +42,7 @@ VERB_CASES: dict[str, tuple[str, tuple[str, ...]]] = {
     "preview": ("--release {here}/mirror/tiny --count 1 --table --output {new}.png", ("{new}.png: 1 steps",)),
     "export": ("{here}/mirror/tiny --output {new}", ("{new}/grasp.hdf5", "{new}/push.hdf5")),
     "import": ("{here}/exported --output {new}", ("{new}/tiny: ",)),
-    "collect": ("{here}/plan.toml --output {new} --engine inline", ("{new}/tiny is sealed",)),
+    "collect": ("{here}/plan.toml --output {new} --engine inline", ("{new}/planned is sealed",)),
     "train": ("--release {here}/mirror/tiny --tasks push --primitive push --output {new}", ("{new}/push.safetensors",)),
     "rounds": ("{here}/plan.toml --output {new}", ("round 1: train " + LONG + "/push done",)),
     "check": ("random", ("{here}/policy.py", "to fix weights: rema convert {here}/weights.pt", "{here}/policy.log")),
@@ -55,7 +55,7 @@ VERB_CASES: dict[str, tuple[str, tuple[str, ...]]] = {
     "proof": ("{here}/fake --episode 3", ("row",)),
     "leaderboard": (
         "{here}/a {here}/b {here}/unfinished",
-        ("{here}/unfinished", f"  my_policy_with_a_long_name  submitted     1  182/{EPISODES} "),
+        ("{here}/unfinished", f"my_policy_with_a_long_name  submitted     1  182/{EPISODES} "),
     ),
     "report": ("{here}/fake --per-label 0 --output {new}.html", ("{new}.html: ",)),
     "compare": (
@@ -113,10 +113,11 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> Path:
         run_evaluation(fake_config(folder / "fake", **fields), backend=fake_backend())
         _light_world(patch, folder)
         for number in (1, 2):
-            shard = ("--shard", f"{number}/2", "--output", str(folder / f"shard-{number}"))
-            _rema("evaluate", "random", "--task", "grasp", "--episodes", "20", "--engine", "inline", *shard)
+            shard = ("--batch-size", "8", "--shard", f"{number}/2", "--output", str(folder / f"shard-{number}"))
+            done = _rema("evaluate", "random", "--task", "grasp", "--episodes", "20", "--engine", "inline", *shard)
+            assert done.exit_code == 0, done.output
         _rema("export", str(folder / "mirror" / "tiny"), "--output", str(folder / "exported"))
-        write_plan(folder)
+        write_plan(folder, **{'name = "tiny"': 'name = "planned"'})
     return folder
 
 
@@ -184,7 +185,12 @@ def rema(here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Rema:
 
 def _filled(text: str, here: Path, folder: Path) -> str:
     root = json.loads((here / "fake" / "run.json").read_text())["seal"]["merkle_root"]
-    names = {"{root}": root, "{here}": here, "{new}": folder / "new" / LONG, "{gone}": here / "there-is-no-file-of-this-name"}
+    names = {
+        "{root}": root,
+        "{here}": here,
+        "{new}": folder / "new" / LONG,
+        "{gone}": here / "there-is-no-file-of-this-name",
+    }
     for name, path in names.items():
         text = text.replace(name, str(path))
     return text

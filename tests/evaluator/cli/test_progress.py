@@ -1,4 +1,4 @@
-"""What is written about progress where there is no terminal."""
+"""Progress on stderr, mostly where it is not a terminal."""
 
 from __future__ import annotations
 

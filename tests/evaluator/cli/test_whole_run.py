@@ -120,7 +120,7 @@ def test_prints_are_kept_and_named(world: Path) -> None:
     assert not (world / "quiet/policy.log").exists()
 
 
-def test_a_mended_policy_may_use_its_folder(world: Path) -> None:
+def test_a_fixed_policy_may_use_its_folder(world: Path) -> None:
     Path("mine.py").write_text("import nothing_of_that_name")
     assert evaluate("mine.py").exit_code == 3
     Path("mine.py").write_text(
