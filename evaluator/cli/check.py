@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from evaluator.cli.options import json_option, policy_options, tasks_option
-from evaluator.cli.output import line, print_json, print_table
+from evaluator.cli.output import line, print_answer, print_table
 from rema_data.errors import SubmissionError
 
 if TYPE_CHECKING:
@@ -38,10 +38,7 @@ def check(ctx: click.Context, /, policy: str, tasks: tuple[str, ...] | None, as_
 
     with StderrProgress() as progress:
         report = check_policy(policy, task=tasks, progress=progress, **options)
-    if as_json:
-        print_json(report.to_dict())
-    else:
-        _print(report)
+    print_answer(report, as_json, _print)
     if not report.ok:
         ctx.exit(SubmissionError.exit_code)
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from evaluator.cli.options import json_option
-from evaluator.cli.output import line, print_facts, print_json, print_table
+from evaluator.cli.output import line, print_answer, print_facts, print_table
 
 if TYPE_CHECKING:
     from evaluator.leaderboard.comparison import Comparison
@@ -33,10 +33,7 @@ def compare(a: Path, b: Path, as_json: bool) -> None:
     from evaluator.api import compare as compare_runs
 
     found = compare_runs(a, b)
-    if as_json:
-        print_json(found.to_dict())
-    else:
-        _print(found)
+    print_answer(found, as_json, _print)
 
 
 def _print(found: Comparison) -> None:

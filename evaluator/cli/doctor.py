@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from evaluator.cli.options import json_option
-from evaluator.cli.output import line, note, print_json, print_table
+from evaluator.cli.output import line, note, print_answer, print_table
 from rema_data.errors import IntegrityError
 
 if TYPE_CHECKING:
@@ -37,10 +37,7 @@ def doctor(ctx: click.Context, seconds: float, check_caches: bool, prune: bool, 
         for item in delete(found.disposable):
             note(f"deleted {item.path} ({item.state}, {_megabytes(item.bytes)} MB)")
         found = diagnose(0)
-    if as_json:
-        print_json(found.to_dict())
-    else:
-        _print(found)
+    print_answer(found, as_json, _print)
     if found.problems:
         ctx.exit(IntegrityError.exit_code)
 

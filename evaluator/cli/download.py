@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from evaluator.cli.options import block_options, json_option, release_argument
-from evaluator.cli.output import line, print_json, print_table
+from evaluator.cli.options import block_options, json_option, release_argument, sources_option
+from evaluator.cli.output import line, print_answer, print_table
 
 if TYPE_CHECKING:
     from rema_data.download import DownloadReport
@@ -19,13 +19,7 @@ __all__ = ["download"]
 @click.command()
 @release_argument
 @block_options
-@click.option(
-    "--source",
-    "sources",
-    multiple=True,
-    metavar="URL",
-    help="Folder of releases to ask first: a path, file://, https://, s3://, ... (repeatable, in order).",
-)
+@sources_option
 @click.option("--jobs", type=click.IntRange(1, 64), default=8, show_default=True, help="Files at a time.")
 @click.option("--manifest", type=click.Path(path_type=Path), metavar="FILE", help="Of a release not published here.")
 @click.option("--offline", is_flag=True, help="Ask only folders of this machine. REMA_OFFLINE=1 does the same.")
@@ -45,10 +39,7 @@ def download(release: str | None, as_json: bool, **options: Any) -> None:
 
     with StderrProgress(in_bytes=True) as progress:
         report = fetch(release, progress=progress, **options)
-    if as_json:
-        print_json(report.to_dict())
-    else:
-        _print(report)
+    print_answer(report, as_json, _print)
 
 
 def _print(report: DownloadReport) -> None:

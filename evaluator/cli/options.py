@@ -20,7 +20,7 @@ __all__ = [
     "policy_options",
     "release_argument",
     "rounds_option",
-    "sandbox_option",
+    "sources_option",
     "tasks_option",
     "workers_option",
 ]
@@ -44,33 +44,34 @@ def _or_none(context: click.Context, parameter: click.Parameter, value: tuple[An
 
 
 release_argument = click.argument("release", required=False)
+_TASK, _ROUND = click.Choice(list(TASKS)), click.IntRange(min=1)
 tasks_option = click.option(
-    "--task",
-    "tasks",
-    multiple=True,
-    type=click.Choice(list(TASKS)),
-    callback=_or_none,
-    help="Only this task (repeatable).",
+    "--task", "tasks", multiple=True, type=_TASK, callback=_or_none, help="Only this task (repeatable)."
 )
 rounds_option = click.option(
-    "--round",
-    "rounds",
-    multiple=True,
-    type=click.IntRange(min=1),
-    callback=_or_none,
-    help="Only this round (repeatable).",
+    "--round", "rounds", multiple=True, type=_ROUND, callback=_or_none, help="Only this round (repeatable)."
 )
 block_options = _all_of(
     tasks_option, rounds_option, click.option("--split", type=click.Choice(list(SPLITS)), help="Only this split.")
 )
 """Blocks of a release: ``tasks``, ``rounds`` and ``split``, each None where all are meant."""
+sources_option = click.option(
+    "--source",
+    "sources",
+    multiple=True,
+    metavar="URL",
+    help="Folder of releases to ask first: a path, file://, https://, s3://, ... (repeatable, in order).",
+)
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one object.")
 checkpoint_option = click.option("--checkpoint", type=click.Path(path_type=Path), help="Weights, handed to the policy.")
 device_option = click.option("--device", default="cpu", show_default=True, help="Of the networks, such as cuda:0.")
-sandbox_option = click.option(
-    "--sandbox", metavar="CMD", help="Wrapper of the policy's process (bwrap, ...): docs/threat_model.md."
+policy_options = _all_of(
+    checkpoint_option,
+    device_option,
+    click.option(
+        "--sandbox", metavar="CMD", help="Wrapper of the policy's process (bwrap, ...): docs/threat_model.md."
+    ),
 )
-policy_options = _all_of(checkpoint_option, device_option, sandbox_option)
 workers_option = click.option(
     "--workers", type=click.IntRange(min=1), help="Simulation processes.  [default: one a core]"
 )

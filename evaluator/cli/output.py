@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -19,7 +19,18 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.text import Text
 
-__all__ = ["console", "line", "note", "plain", "print_facts", "print_json", "print_table", "styled", "terminal_width"]
+__all__ = [
+    "console",
+    "line",
+    "note",
+    "plain",
+    "print_answer",
+    "print_facts",
+    "print_json",
+    "print_table",
+    "styled",
+    "terminal_width",
+]
 
 _NO_LIMIT = 1_000_000
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
@@ -64,6 +75,14 @@ def note(text: str) -> None:
 def print_json(content: Any) -> None:
     """Print one object, which is then alone on stdout."""
     click.echo(json.dumps(content, indent=2))
+
+
+def print_answer(result: Any, as_json: bool, print_text: Callable[[Any], None]) -> None:
+    """Print a result: its ``to_dict()`` as one object alone, or as text for people."""
+    if as_json:
+        print_json(result.to_dict())
+    else:
+        print_text(result)
 
 
 def print_facts(facts: Iterable[tuple[str, str | Text]]) -> None:

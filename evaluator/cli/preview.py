@@ -66,40 +66,26 @@ def preview(ctx: click.Context, /, index: int | None, **options: Any) -> None:
 
 
 def _preview_release(
-    tasks: tuple[str, ...] | None,
-    split: str | None,
+    *,
     output: Path | None,
     as_json: bool,
     release: str | None,
-    rounds: tuple[int, ...] | None,
-    episodes: tuple[int, ...],
     count: int | None,
     which: Literal["last", "picks", "all"] | None,
-    success: bool | None,
-    failure: str | None,
     as_table: bool | None,
+    **chosen: Any,
 ) -> None:
     from rema_data.gallery import find_steps
     from rema_data.pictures import write_pictures
     from rema_data.release.folder import find_release
 
-    if success and failure:
+    if chosen["success"] and chosen["failure"]:
         raise InputError("a step that succeeded has no failure", hint="drop --success or --failure")
-    if episodes and (count or which):
+    if chosen["episodes"] and (count or which):
         raise InputError("--episode shows all steps of an episode", hint="drop --count and --which, or --episode")
     found = find_release(release)
     name = found.manifest.name
-    steps = find_steps(
-        found,
-        tasks,
-        rounds,
-        split,
-        episodes=episodes,
-        which=which or "last",
-        success=success,
-        failure=failure,
-        count=count or 12,
-    )
+    steps = find_steps(found, which=which or "last", count=count or 12, **chosen)
     path = output if output or as_table else Path(f"preview-{name}.png")
     if path is not None:
         write_pictures(steps, path, f"{name} ({found.manifest.sha256[:12]})")

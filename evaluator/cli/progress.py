@@ -59,8 +59,10 @@ class StderrProgress(logging.Handler):
         )
         self._bar: TaskID | None = None
         self._live = self._console.is_terminal
-        self._name, self._total, self._done, self._before = "", 0, 0, 0
-        self._detail = ""
+        self._begin("", 0)
+
+    def _begin(self, name: str, total: int) -> None:
+        self._name, self._total, self._done, self._before, self._detail = name, total, 0, 0, ""
         self._began = self._line = time.monotonic()
 
     def __enter__(self) -> Self:
@@ -84,9 +86,7 @@ class StderrProgress(logging.Handler):
     def phase(self, name: str, total: int) -> None:
         """A phase of ``total`` items begins."""
         self._end_phase()
-        self._name, self._total, self._done, self._before = name, total, 0, 0
-        self._detail = ""
-        self._began = self._line = time.monotonic()
+        self._begin(name, total)
         if self._live:
             self._bar = self._bars.add_task(name, total=total, detail="")
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from evaluator.cli.options import engine_options, json_option
-from evaluator.cli.output import line, note, plain, print_facts, print_json, print_table
+from evaluator.cli.output import line, note, plain, print_answer, print_facts, print_table
 from rema_data.errors import InfrastructureError, InputError, IntegrityError
 
 if TYPE_CHECKING:
@@ -63,10 +63,7 @@ def replay(
         key = read_private_key(private_key, lambda: str(click.prompt(passphrase, hide_input=True, err=True)))
     with StderrProgress() as progress:
         report = play(run, fraction=fraction, progress=progress, **options)
-    if as_json:
-        print_json(report.to_dict())
-    else:
-        _print(report)
+    print_answer(report, as_json, _print)
     if not report.ok:
         ctx.exit(IntegrityError.exit_code)
     if report.lost > INFRA_LIMIT * (report.replayed + report.lost):

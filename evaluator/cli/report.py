@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -28,14 +29,11 @@ _MEGABYTE = 1_000_000
 def report(
     run: Path,
     output: Path | None,
-    per_label: int,
     policy: str | None,
     checkpoint: Path | None,
-    device: str,
-    scored: int,
-    sandbox: str | None,
     limit_mb: float,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Write one self-contained HTML page about RUN (a run folder of `rema evaluate`).
 
@@ -52,24 +50,25 @@ def report(
     from evaluator.report import ReportOptions, write_report
     from rema_data.errors import InputError
 
-    for option, value in (("--checkpoint", checkpoint), ("--sandbox", sandbox)):
+    for option, value in (("--checkpoint", checkpoint), ("--sandbox", options["sandbox"])):
         if value is not None and policy is None:
             raise InputError(f"{option} belongs to a policy", hint=f"name it with --policy, or drop {option}")
     spec = None if policy is None else resolve(policy)
     weights = None if spec is None else weights_of(spec, checkpoint)
-    options = ReportOptions(per_label, int(limit_mb * _MEGABYTE), spec, weights, device, scored, sandbox)
+    shown = ReportOptions(policy=spec, checkpoint=weights, limit_bytes=int(limit_mb * _MEGABYTE), **options)
     with StderrProgress() as progress:
-        written = write_report(run, output, options, progress)
+        written = write_report(run, output, shown, progress)
     if as_json:
-        answer = {
-            "file": str(written.path),
-            "bytes": written.size,
-            "episodes_shown": written.shown,
-            "played_again": dict(written.agreement),
-            "episodes_scored": written.scored,
-            "pictures_left_out": written.left_out,
-        }
-        print_json(answer)
+        print_json(
+            {
+                "file": str(written.path),
+                "bytes": written.size,
+                "episodes_shown": written.shown,
+                "played_again": dict(written.agreement),
+                "episodes_scored": written.scored,
+                "pictures_left_out": written.left_out,
+            }
+        )
         return
     line(f"{written.path}: {written.size / _MEGABYTE:.1f} MB, {written.shown} episodes")
     different = written.agreement.get("different", 0)

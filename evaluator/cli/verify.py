@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from evaluator.cli.options import block_options, json_option, release_argument
-from evaluator.cli.output import line, note, plain, print_json, print_table
+from evaluator.cli.options import block_options, json_option, release_argument, sources_option
+from evaluator.cli.output import line, note, plain, print_answer, print_table
 from rema_data.errors import InputError, IntegrityError
 
 if TYPE_CHECKING:
@@ -23,14 +23,8 @@ _FIXES = 10
 @click.command()
 @release_argument
 @block_options
-@click.option("--repair", is_flag=True, help="Fetch damaged files of a downloaded release again.")
-@click.option(
-    "--source",
-    "sources",
-    multiple=True,
-    metavar="URL",
-    help="With --repair: folder of releases to ask first, as of `rema download` (repeatable).",
-)
+@click.option("--repair", is_flag=True, help="Fetch damaged files of a download again; may have --source.")
+@sources_option
 @json_option
 @click.pass_context
 def verify(
@@ -61,10 +55,7 @@ def verify(
         fetch_damaged(found, report, sources)
         note(f"fetched {len(report.damaged)} files again")
         report = run()
-    if as_json:
-        print_json(report.to_dict())
-    else:
-        _print(report)
+    print_answer(report, as_json, _print)
     if not report.ok:
         ctx.exit(IntegrityError.exit_code)
 
