@@ -83,7 +83,7 @@ class Measured:
     simulator_s : float
         Seconds inside simulators, over all workers.
     judge_s : float
-        Processor seconds of the judge while it simulates: handing out, collecting and recording.
+        Processor seconds of the evaluator while it simulates: handing out, collecting and recording.
     sha256 : str
         Of ``results.parquet``.
     """
@@ -187,7 +187,7 @@ def main() -> int:
                 found += [measure(f"{engine}{count}", arguments.episodes, engine, count) for count in counts]
         merge_s, merged = in_shards(arguments.task, arguments.policy, folder, arguments.episodes, SHARDS)
     table = Table(
-        "engine", "workers", "simulate, s", "in simulators, ms/episode", "busy", "judge, ms/episode", "sha256",
+        "engine", "workers", "simulate, s", "in simulators, ms/episode", "busy", "evaluator, ms/episode", "sha256",
         title=f"{arguments.episodes:,} {arguments.policy} episodes of {arguments.task}",
     )  # fmt: skip
     for one in found:
@@ -203,8 +203,8 @@ def main() -> int:
     table.add_row(f"{SHARDS} shards, merged", "", "", "", "", "", merged[:16])
     digests = {one.sha256 for one in found} | {merged}
     notes += [
-        "Busy: time inside simulators, over workers times the wall time of the phase, their start included. More "
-        "workers than free cores wait for each other, inside simulators too.",
+        "Busy: time inside simulators, divided by workers times the wall time of the phase (the start of the workers "
+        "included). If there are more workers than free cores, they wait for each other, also inside simulators.",
         f"Merging {SHARDS} shards took {merge_s:.1f} s.",
     ]
     verdict = target("same bytes from every run", "1 digest", str(len(digests)), len(digests) == 1)
