@@ -71,7 +71,7 @@ def paper(content: dict[str, Any]) -> str:
         return max(0.0, float(more))
 
     core_s = each("process", "simulator_s")
-    dispatch_s = each(numbers["small"][-1]["engine"], "judge_s")
+    record_s = each(numbers["small"][-1]["engine"], "judge_s")
     before_s = first["observe_s"] / first["episodes"] + each("process", "infer_s")
     after_s = max(0.0, each("process", "total_s") - each("process", "observe_s", "infer_s", "simulate_s"))
     merge_s = numbers["merge_s"] / first["episodes"]
@@ -79,7 +79,7 @@ def paper(content: dict[str, Any]) -> str:
     for cores in CORES:
         everywhere = EPISODES * core_s / (NODES * cores)
         single, divided = (
-            count * (before_s + after_s) + max(everywhere, count * dispatch_s) for count in (EPISODES, EPISODES / NODES)
+            count * (before_s + after_s) + max(everywhere, count * record_s) for count in (EPISODES, EPISODES / NODES)
         )
         rows.append([str(cores), *map(hours, (everywhere, single, divided, divided + EPISODES * merge_s))])
     header = ["cores a node", "simulation alone", "one run through Ray", f"{NODES} shards", "and merged"]
@@ -87,7 +87,7 @@ def paper(content: dict[str, Any]) -> str:
         [
             table(header, rows),
             f"An episode of {numbers['task']} takes {1e3 * core_s:.1f} ms of a core in the simulator. It takes the "
-            f"evaluator {1e3 * before_s:.2f} ms to observe and infer, {1e3 * dispatch_s:.2f} ms to hand out and record, "
+            f"evaluator {1e3 * before_s:.2f} ms to observe and infer, {1e3 * record_s:.2f} ms to hand out and record, "
             f"{1e3 * after_s:.2f} ms for the tables, and {1e3 * merge_s:.2f} ms to merge (its start included). The "
             "cost of a run before its first episode is not included.",
         ]
