@@ -54,7 +54,7 @@ def test_ten_million_episodes_follow_from_the_cost_of_one(tmp_path: Path) -> Non
     assert "in the simulator. It takes the evaluator 0.20 ms to observe and infer, 0.50 ms to hand out" in text
     assert "takes 1.0 ms of a core" in text
     assert "0.10 ms for the tables, and 1.00 ms to merge" in text
-    # 10,000 s of a core on 800 cores; 8,000 s of one evaluator; 100 evaluators, 100,000 episodes each; 10,000 s of merging
+    # 10,000 s of a core on 800 cores; 8,000 s of one evaluator; 100 of them, 100,000 episodes each; 10,000 s to merge
     assert "| 8 | 12 s | 2.2 h | 1 min | 2.8 h |" in text
     assert "| engine |" in text and "Same bytes: yes." in text
 
