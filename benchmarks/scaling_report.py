@@ -71,7 +71,7 @@ def paper(content: dict[str, Any]) -> str:
         return max(0.0, float(more))
 
     core_s = each("process", "simulator_s")
-    record_s = each(numbers["small"][-1]["engine"], "judge_s")
+    record_s = each(numbers["small"][-1]["engine"], "evaluator_s")
     before_s = first["observe_s"] / first["episodes"] + each("process", "infer_s")
     after_s = max(0.0, each("process", "total_s") - each("process", "observe_s", "infer_s", "simulate_s"))
     merge_s = numbers["merge_s"] / first["episodes"]

@@ -24,7 +24,7 @@ def filled(tmp_path: Path, *words: str) -> str:
 
 
 def run(engine: str, workers: int, episodes: int, **seconds: float) -> dict[str, Any]:
-    fields = {"observe_s": 0.0, "infer_s": 0.0, "simulate_s": 0.0, "total_s": 0.0, "simulator_s": 0.0, "judge_s": 0.0}
+    fields = {"observe_s": 0.0, "infer_s": 0.0, "simulate_s": 0.0, "total_s": 0.0, "simulator_s": 0.0, "evaluator_s": 0.0}
     return {"engine": engine, "workers": workers, "episodes": episodes, "sha256": "d", **fields, **seconds}
 
 
@@ -39,8 +39,8 @@ def test_without_a_result_the_page_says_how_to_get_one(tmp_path: Path) -> None:
 
 def test_ten_million_episodes_follow_from_the_cost_of_one(tmp_path: Path) -> None:
     """1 ms in the simulator, 0.2 ms before it and 0.1 ms after it, whatever a run costs at its start."""
-    runs = [run("process", 1, 2000, infer_s=3.4, simulate_s=5.0, total_s=9.6, simulator_s=4.0, judge_s=1.0)]
-    small = [run("process", 1, 1000, infer_s=3.2, simulate_s=4.0, total_s=8.3, simulator_s=3.0, judge_s=0.5)]
+    runs = [run("process", 1, 2000, infer_s=3.4, simulate_s=5.0, total_s=9.6, simulator_s=4.0, evaluator_s=1.0)]
+    small = [run("process", 1, 1000, infer_s=3.2, simulate_s=4.0, total_s=8.3, simulator_s=3.0, evaluator_s=0.5)]
     content = {
         "command": "python benchmarks/scaling.py",
         "machine": {"cpu": "a processor", "cores": 2, "load_average": 0.1},
