@@ -24,7 +24,8 @@ def filled(tmp_path: Path, *words: str) -> str:
 
 
 def run(engine: str, workers: int, episodes: int, **seconds: float) -> dict[str, Any]:
-    fields = {"observe_s": 0.0, "infer_s": 0.0, "simulate_s": 0.0, "total_s": 0.0, "simulator_s": 0.0, "evaluator_s": 0.0}
+    names = ("observe_s", "infer_s", "simulate_s", "total_s", "simulator_s", "evaluator_s")
+    fields = dict.fromkeys(names, 0.0)
     return {"engine": engine, "workers": workers, "episodes": episodes, "sha256": "d", **fields, **seconds}
 
 
