@@ -66,19 +66,19 @@ class Way:
 
 WAYS = {
     PLANNED: Way("as planned"),
-    "not-turned": Way("grasps not turned", ("--no-rotate",)),
+    "not-turned": Way("grasps not rotated", ("--no-rotate",)),
     "not-turned-slower": Way(
-        "not turned, learning rate 1e-4 throughout",
+        "not rotated, learning rate 1e-4 throughout",
         ("--no-rotate", "--learning-rate", "1e-4", "--schedule", "constant"),
     ),
     "another-seed": Way("another seed", ("--seed", "1")),
     "300-updates": Way("300 updates", ("--updates", "300")),
     "1000-updates": Way("1,000 updates", ("--updates", "1000")),
     "balanced-on-average": Way("balanced on average, not in every minibatch", ("--balance", "average")),
-    "wrong-labels": Way("1 % of the labels it is trained on wrong", wrong_labels=0.01),
+    "wrong-labels": Way("1 % of the training labels wrong", wrong_labels=0.01),
     "finer-cells": Way("features at 9 mm instead of 18", ("--scene-stride", "2", "--ee-stride", "2")),
     "displaced": Way(
-        "as planned; the hand arrives up to a pixel (4.5 mm) beside",
+        "as planned; the hand arrives up to a pixel (4.5 mm) off",
         policy="benchmarks/policies/displaced.py",
         trained=PLANNED,
     ),

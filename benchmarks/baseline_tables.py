@@ -120,16 +120,16 @@ def paper_table(comparison: Comparison) -> str:
 
 
 def targets_table(runs: Mapping[str, Summary]) -> str:
-    """What was asked of learning, and what came of it."""
+    """The targets of learning, and what was measured."""
 
     def share(name: str) -> float | None:
         return runs[name]["success_rate"] if name in runs else None
 
     rows = []
 
-    def add(what: str, wanted: str, found: float | None, reached: bool, shown: str = "") -> None:
-        if found is not None:
-            rows.append([what, wanted, shown or f"{percent(found)} %", "yes" if reached else "**no**"])
+    def add(what: str, target: str, measured: float | None, met: bool, shown: str = "") -> None:
+        if measured is not None:
+            rows.append([what, target, shown or f"{percent(measured)} %", "yes" if met else "**no**"])
 
     first, second = (share(f"round-{number}-grasp-conditional") for number in (1, 2))
     add("grasp after round 1", "41 to 61 % (paper: 51 %)", first, first is not None and 0.41 <= first <= 0.61)
@@ -147,11 +147,11 @@ def targets_table(runs: Mapping[str, Summary]) -> str:
         ours, base = (percent(run["success_rate"]) for run in pair if run)
         shown = f"{ours} against {base} %, p {'< 0.0001' if p < 1e-4 else f'= {p:.4f}'}"
         add("grasp_grasp, joint", f"above random, p < {LEVEL}", p, p < LEVEL, shown)
-    return markdown(["what", "wanted", "found", "reached"], rows)
+    return markdown(["what", "target", "measured", "met"], rows)
 
 
 def networks_table(plan: RecursionPlan) -> str:
-    """What every network was trained on, and what validation said."""
+    """What every network was trained on, and its validation metrics."""
     rows = []
     for entry in plan.rounds:
         for network in entry.networks:
@@ -190,7 +190,7 @@ def costs_table(plan: RecursionPlan) -> str:
     costs = json.loads(path.read_text()) if path.is_file() else {}
     rows = [[str(cost["round"]), what, f"{cost['seconds'] / 60:.1f}"] for what, cost in costs.items()]
     if rows:
-        rows.append(["", "all of these", f"{sum(cost['seconds'] for cost in costs.values()) / 60:.1f}"])
+        rows.append(["", "total", f"{sum(cost['seconds'] for cost in costs.values()) / 60:.1f}"])
     return markdown(["round", "stage", "minutes, two cores"], rows)
 
 
@@ -212,7 +212,7 @@ def projection_table(plan: RecursionPlan, larger: RecursionPlan) -> str:
                 total += minutes
                 rows.append([str(entry.number), title, f"{there:,}", f"{minutes:.0f}"])
     if rows:
-        rows.append(["", "all of these", "", f"{total:.0f}"])
+        rows.append(["", "total", "", f"{total:.0f}"])
     return markdown(["round", "stage", "episodes or updates", "minutes, projected"], rows)
 
 

@@ -59,7 +59,7 @@ def knobs_table(content: dict[str, Any]) -> str:
     """One row a changed constant: the difference that it makes, in points."""
     columns = [f"{policy} {task}" for task in PUBLISHED_TASKS for policy in ("random", "scripted")]
     base = content["lines"][0]["rates"]
-    lines = ["| changed alone | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
+    lines = ["| changed constant | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
     lines.append("| as calibrated, % | " + " | ".join(f"{base[column]:.1f}" for column in columns) + " |")
     for line in content["lines"][1:]:
         cells = [f"{line['rates'][c] - base[c]:+.1f}" if c in line["rates"] else "" for c in columns]
@@ -68,8 +68,8 @@ def knobs_table(content: dict[str, Any]) -> str:
     noise = [196 * (2 * rate * (1 - rate) / n) ** 0.5 for rate in (0.5, 0.05)]
     lines += [
         "",
-        f"{n} episodes a cell: differences below {noise[0]:.0f} points near 50 % and {noise[1]:.0f} near 5 % would be "
-        "within noise for independent episodes; equal seeds make them a little sharper than that.",
+        f"Each cell has {n} episodes. For independent episodes, differences below {noise[0]:.0f} points near 50 % and "
+        f"{noise[1]:.0f} near 5 % would be noise; equal seeds make the comparison a little more precise.",
     ]
     return "\n".join(lines)
 

@@ -91,7 +91,7 @@ def rate_rows(sizes: Sequence[int], rates: Reals) -> list[dict[str, Any]]:
 
 
 def middle(row: dict[str, Any]) -> str:
-    """The widest range of rates around one half in which the coverage is as wanted everywhere."""
+    """The widest range of rates around one half in which the coverage is within the target everywhere."""
     distances = [abs(rate - 0.5) for rate, _ in row["outside"]]
     if not distances:
         return "everywhere"
@@ -228,12 +228,12 @@ def main() -> int:
             f"{percent(least)} to {percent(most)}",
             WANTED[0] <= least and most <= WANTED[1],
         ),
-        target("wrong verdicts of the early stop, exact, %", "under 5", percent(quick), quick < LEVEL),
+        target("wrong claims of the early stop, exact, %", "under 5", percent(quick), quick < LEVEL),
         target("the same, simulated, %", f"under 5 + {percent(noise)}", percent(simulated), simulated < LEVEL + noise),
     ]
     notes = [
-        "Where few successes or failures are to be expected, no interval covers just 95 %, as counts are whole. The "
-        "last column says around which rates the coverage is as wanted throughout.",
+        "Counts are whole numbers, so where few successes or few failures are expected, no interval has a coverage of "
+        "exactly 95 %. The last column gives the rates between which the coverage is within the target throughout.",
         f"The exact level of the early stop is for {numbers['early_stop_pairs']:,} discordant pairs.",
     ]
     return finish(arguments, "coverage", tables(numbers), found, notes, numbers)

@@ -214,7 +214,7 @@ def main() -> int:
 
     tables, targets, ratios = [], [], {}
     for what, by_method in speeds.items():
-        table = Table("method", "MB/s, median", "MB/s, each turn", title=f"{what}, {kind} on this machine")
+        table = Table("method", "MB/s, median", "MB/s, each repeat", title=f"{what}, {kind} on this machine")
         for method, values in by_method.items():
             table.add_row(method, f"{statistics.median(values):.0f}", ", ".join(f"{value:.0f}" for value in values))
         tables.append(table)
@@ -224,7 +224,7 @@ def main() -> int:
                 ratios[f"{what}: {method} / {other}"] = statistics.median(ours / theirs for ours, theirs in pairs)
         share = ratios[f"{what}: rema download, http / curl"]
         targets.append(target(f"{what}, against curl", f">= {CURL_SHARE:.0%}", f"{share:.0%}", share >= CURL_SHARE))
-    shares = Table("ratio, median over the turns", "", title="throughput")
+    shares = Table("ratio, median over the repeats", "", title="throughput")
     for what, ratio in ratios.items():
         shares.add_row(what, f"{ratio:.0%}")
     extra = sent / size - 1

@@ -175,9 +175,10 @@ def main() -> int:
         costs = [cost(folder, arguments.sample) for folder in folders]
     table, targets, numbers = report(costs)
     notes = [
-        "Bare stepping: seconds inside stepSimulation a step, over a random sample of the run's own episodes repeated "
-        "in as many processes at once as the run had workers, times the run's steps, divided by its workers.",
-        "Phases are shares of the total; rest is start, tables and summary.",
+        "Bare stepping: the seconds that stepSimulation takes for one step, times the steps of the run, divided by its "
+        "workers. Measured on a random sample of the run's episodes, in as many processes at once as the run had "
+        "workers.",
+        "Phases are shares of the total; `rest` is start, tables and summary.",
     ]
     return finish(arguments, "full_run", [table], targets, notes, {"runs": numbers})
 

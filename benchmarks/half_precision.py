@@ -72,7 +72,12 @@ def main() -> int:
     options.add_argument("--scenarios", type=int, default=500, help="of each task (default 500)")
     arguments = options.parse_args()
     table = Table(
-        "task", "scenarios", "other decisions", "of these only float32 solved", "only float16 solved", title="float16"
+        "task",
+        "scenarios",
+        "different decisions",
+        "of these only float32 solved",
+        "only float16 solved",
+        title="float16",
     )
     simulator, found = Simulator(), []
     with tempfile.TemporaryDirectory() as name:

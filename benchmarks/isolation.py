@@ -138,8 +138,8 @@ def main() -> int:
         target("isolation, of a run of the random policy", f"< {WANTED_SHARE:.0%}", f"{cost:.2%}", cost < WANTED_SHARE)
     ]
     notes = [
-        f"Medians of {arguments.repeats}. The run took {total_s:.1f} s; shares are what a way takes beyond asking in "
-        f"this process. In the sandbox the level was {level}.",
+        f"Medians of {arguments.repeats}. The run took {total_s:.1f} s; a share is the extra time compared with asking "
+        f"in this process. The isolation level in the sandbox was {level}.",
     ]
     numbers = {"run_s": total_s, "episodes": episodes, "seconds": seconds, "level": level, "share": cost}
     return finish(arguments, "isolation", [table], targets, notes, numbers)

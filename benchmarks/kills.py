@@ -3,7 +3,7 @@
     python benchmarks/kills.py                                  # 20 kills of random, grasp, 10,000 episodes
     python benchmarks/kills.py --kills 3 --episodes 200 --batch-size 2
 
-In turn the judge itself, one of its simulation workers and the policy's process are killed, at a moment drawn from
+In turn the evaluator itself, one of its simulation workers and the policy's process are killed, at a moment drawn from
 those at which an undisturbed run had such a process. A run that did not survive is started again. Every run has a cache
 of its own. Simulated episodes and questions to the policy are counted as they begin, those of the audit too, so that
 work which was lost before it was recorded counts as repeated. Exits with 6 if a file differs.
@@ -41,8 +41,8 @@ SIMULATED, ASKED = "simulated", "asked"
 COUNTS = "REMA_KILLS_COUNTS"
 """Folder of two files, one byte for every episode that was begun to be simulated and for every question."""
 FILES = ("results.parquet", "actions.bin", "leaves.bin")
-VICTIMS = {"judge": "", "worker": "evaluator/engines/", "policy": "evaluator/policy/"}
-"""Who is killed, and what in its command line tells its process: the folder of its module."""
+VICTIMS = {"evaluator": "", "worker": "evaluator/engines/", "policy": "evaluator/policy/"}
+"""What is killed, and the folder of its module, by which its command line is recognised."""
 REPEATED = 0.02
 POLL_S = 0.005
 STARTS = 5
@@ -127,10 +127,10 @@ def processes(run: subprocess.Popen[bytes], victim: str) -> list[psutil.Process]
     """Processes of a run that are of one kind."""
     found = []
     with contextlib.suppress(psutil.Error):
-        judge = psutil.Process(run.pid)
-        if victim == "judge":
-            return [judge]
-        for child in judge.children(recursive=True):
+        evaluator = psutil.Process(run.pid)
+        if victim == "evaluator":
+            return [evaluator]
+        for child in evaluator.children(recursive=True):
             with contextlib.suppress(psutil.Error):
                 if (
                     VICTIMS[victim] in " ".join(child.cmdline()).replace(".", "/")

@@ -172,9 +172,9 @@ def main() -> int:
     ]
     notes = [
         f"Of the {after_torch:.3f} s the two calls take {calls:.3f} s; the rest imports modules. Importing torch "
-        f"itself takes {marks['import torch']:.2f} s, which any torch program pays.",
-        "On one core the parts follow each other; what is missing to 100 % are the tables, the manifest and renaming.",
-        f"{counts['end_effectors']:,} of {counts['steps']:,} steps have an end-effector map of their own.",
+        f"itself takes {marks['import torch']:.2f} s, as in every program that uses torch.",
+        "On one core the stages run one after the other; the rest of the 100 % is tables, manifest and renaming.",
+        f"{counts['end_effectors']:,} of {counts['steps']:,} steps have their own end-effector map.",
     ]
     numbers = {"counts": counts, "decode": decoded, "open": marks, "after_torch_s": after_torch, "calls_s": calls}
     return finish(arguments, "open", [first, second], targets, notes, numbers)

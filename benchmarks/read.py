@@ -277,11 +277,11 @@ def report(
         table.add_row(name, *["-"] * len(found), "-", "-", why)
     notes = [
         f"Versions: {versions()}.",
-        f"{steps:,} steps; a turn reads {arguments.samples:,} samples, {distinct:,} of them different.",
-        "Quantised is what goes to a device: int16 heights and packed masks, 61.5 KB a sample; everybody else delivers "
-        "float32 tensors on the CPU, 217 KB a sample. All deliver the same values: they were compared.",
-        "Every step is an episode of its own in the peers' files. Minari's hold an empty observation after it, as "
-        "the format asks.",
+        f"{steps:,} steps; each repeat reads {arguments.samples:,} samples, {distinct:,} of them different.",
+        "`quantised` delivers what is sent to a device: int16 heights and packed masks, 61.5 KB a sample. All others "
+        "deliver float32 tensors on the CPU, 217 KB a sample. The values were compared: all readers deliver the same.",
+        "In the files of the other readers every step is a separate episode. Minari's files have an empty observation "
+        "after it, as the format requires.",
     ]
     if any(why.startswith("not installed") for why in absent.values()):
         notes.append(f"To measure all: {INSTALL}")

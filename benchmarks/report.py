@@ -22,7 +22,7 @@ from rema_data.errors import MissingFileError, RemaError
 SECTIONS = {
     "sim_throughput": "Speed of the world",
     "full_run": "Whole runs",
-    "report_page": "The page about a run",
+    "report_page": "The report of a run",
     "isolation": "Isolation of the policy",
     "memory": "Memory",
     "determinism": "Determinism of the world",
@@ -50,7 +50,7 @@ def load(folder: Path) -> list[dict[str, Any]]:
     Raises
     ------
     MissingFileError
-        There is none.
+        There are none.
     """
     order = list(SECTIONS)
     found = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob("*.json"))]
@@ -66,7 +66,7 @@ def page(results: list[dict[str, Any]]) -> str:
     lines = [
         "# Performance",
         "",
-        "Made by `python benchmarks/report.py` from the results of the benchmarks; each stands with its command.",
+        "Made by `python benchmarks/report.py` from the results of the benchmarks. Each section shows its command.",
         "",
         *_machines(results),
     ]
@@ -89,23 +89,24 @@ def measured(result: dict[str, Any]) -> list[str]:
             [row["what"], row["wanted"], row["measured"], "yes" if row["reached"] else "**no**"]
             for row in result["targets"]
         ]
-        lines += ["", *_table("", ["target", "wanted", "measured", "reached"], rows)]
+        lines += ["", *_table("", ["what", "target", "measured", "met"], rows)]
     return lines + [f"\n{note.strip()}" for note in result["notes"]]
 
 
 def _machines(results: list[dict[str, Any]]) -> list[str]:
-    """One line for every machine and set of versions among the results, and the load that they were taken under."""
-    lines = []
+    """One line for every machine and set of versions among the results, and the highest load."""
+    lines = ["Machines:", ""]
     for result in results:
         machine = result["machine"]
         versions = {"Python": machine["python"], "pybullet": machine["pybullet"], "numpy": machine["numpy"]}
         installed = ", ".join(f"{name} {version}" for name, version in versions.items() if version is not None)
-        line = f"Machine: {machine['cpu']}, {machine['cores']} cores, {machine['system']}; {installed}."
+        cores = "1 core" if machine["cores"] == 1 else f"{machine['cores']} cores"
+        line = f"- {machine['cpu']}, {cores}, {machine['system']}; {installed}."
         if line not in lines:
             lines.append(line)
     loads = [result["machine"]["load_average"] for result in results if result["machine"]["load_average"] is not None]
     if loads:
-        lines.append(f"Load average at the end of the benchmarks, their own processes included: up to {max(loads)}.")
+        lines.append(f"\nLoad average at the end of the benchmarks, including their own processes: up to {max(loads)}.")
     return lines
 
 

@@ -95,7 +95,7 @@ def main() -> int:
         }
 
     what = f"{summary['policy']} on {summary['task']}, {summary['episodes']:,} episodes"
-    pages = Table("page", "MB", "episodes shown", "seconds to write", title=f"the page about {what}")
+    pages = Table("page", "MB", "episodes shown", "seconds to write", title=f"the report of {what}")
     pages.add_row("with pictures", f"{written.size / 1e6:.2f}", str(written.shown), f"{writing_s:.1f}")
     pages.add_row("without", f"{bare.size / 1e6:.2f}", "0", f"{bare_s:.1f}")
     tables = [pages]
@@ -112,7 +112,7 @@ def main() -> int:
         "writing_s": writing_s,
         "bare_writing_s": bare_s,
     }
-    notes = ["Pictures are rendered in software; most of the writing is that."]
+    notes = ["Pictures are rendered in software, which takes most of the time to write."]
     if browser is None:
         notes.append("No Chromium is installed: the page was not opened.")
     else:

@@ -88,9 +88,9 @@ def finish(
     for table in tables:
         console.print(table)
     if targets:
-        verdicts = Table("target", "wanted", "measured", "", title="targets")
+        verdicts = Table("what", "target", "measured", "", title="targets")
         for row in targets:
-            verdicts.add_row(row["what"], row["wanted"], row["measured"], "reached" if row["reached"] else "MISSED")
+            verdicts.add_row(row["what"], row["wanted"], row["measured"], "met" if row["reached"] else "MISSED")
         console.print(verdicts)
     for note in notes:
         console.print(note, highlight=False)

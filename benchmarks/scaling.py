@@ -43,14 +43,14 @@ task, policy, output, episodes, engine, workers, shard = sys.argv[1:]
 
 
 class Clock:
-    simulating, begin_s, judge_s = False, 0.0, 0.0
+    simulating, begin_s, evaluator_s = False, 0.0, 0.0
 
     def phase(self, name, total):
         self.simulating, self.begin_s = name == "simulate", time.process_time()
 
     def advance(self, n):
         if self.simulating:
-            self.judge_s = time.process_time() - self.begin_s
+            self.evaluator_s = time.process_time() - self.begin_s
 
     def note(self, text):
         pass
@@ -61,7 +61,7 @@ options = {"shard": RunShard.parse(shard)} if shard else {}
 config = EvaluationConfig(resolve(policy), task, Path(output), episodes=int(episodes), engine=engine,
                           workers=int(workers), audit_share=0.0, **options)
 run_evaluation(config, clock)
-print(json.dumps(clock.judge_s))
+print(json.dumps(clock.evaluator_s))
 """
 SHARDS = 3
 SMALL = 4
@@ -82,8 +82,8 @@ class Measured:
         Wall time of the phases and of the run, starts of workers included.
     simulator_s : float
         Seconds inside simulators, over all workers.
-    judge_s : float
-        Processor seconds of the judge while it simulates: handing out, collecting and recording.
+    evaluator_s : float
+        Processor seconds of the evaluator while it simulates: handing out, collecting and recording.
     sha256 : str
         Of ``results.parquet``.
     """
@@ -96,7 +96,7 @@ class Measured:
     simulate_s: float
     total_s: float
     simulator_s: float
-    judge_s: float
+    evaluator_s: float
     sha256: str
 
 
@@ -119,7 +119,7 @@ def run(task: str, policy: str, folder: Path, episodes: int, engine: str, worker
         len(inside),
         *(seconds[phase] for phase in ("observe", "infer", "simulate", "total")),
         simulator_s=round(sum(inside), 3),
-        judge_s=round(float(done.stdout.splitlines()[-1]), 3),
+        evaluator_s=round(float(done.stdout.splitlines()[-1]), 3),
         sha256=digest(folder),
     )
 
@@ -187,7 +187,7 @@ def main() -> int:
                 found += [measure(f"{engine}{count}", arguments.episodes, engine, count) for count in counts]
         merge_s, merged = in_shards(arguments.task, arguments.policy, folder, arguments.episodes, SHARDS)
     table = Table(
-        "engine", "workers", "simulate, s", "in simulators, ms/episode", "busy", "judge, ms/episode", "sha256",
+        "engine", "workers", "simulate, s", "in simulators, ms/episode", "busy", "evaluator, ms/episode", "sha256",
         title=f"{arguments.episodes:,} {arguments.policy} episodes of {arguments.task}",
     )  # fmt: skip
     for one in found:
@@ -197,14 +197,14 @@ def main() -> int:
             f"{one.simulate_s:.1f}",
             f"{1e3 * one.simulator_s / one.episodes:.1f}",
             f"{one.simulator_s / (one.simulate_s * one.workers):.0%}",
-            f"{1e3 * one.judge_s / one.episodes:.2f}",
+            f"{1e3 * one.evaluator_s / one.episodes:.2f}",
             one.sha256[:16],
         )
     table.add_row(f"{SHARDS} shards, merged", "", "", "", "", "", merged[:16])
     digests = {one.sha256 for one in found} | {merged}
     notes += [
-        "Busy: time inside simulators, over workers times the wall time of the phase, their start included. More "
-        "workers than free cores wait for each other, inside simulators too.",
+        "Busy: time inside simulators, divided by workers times the wall time of the phase (the start of the workers "
+        "included). If there are more workers than free cores, they wait for each other, also inside simulators.",
         f"Merging {SHARDS} shards took {merge_s:.1f} s.",
     ]
     verdict = target("same bytes from every run", "1 digest", str(len(digests)), len(digests) == 1)

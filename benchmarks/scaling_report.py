@@ -3,7 +3,7 @@
     python benchmarks/scaling.py --json benchmarks/results/scaling.json
     python benchmarks/scaling_report.py
 
-Only what stands between the markers of the page is replaced. Without a result the places say how to get one.
+Only what stands between the markers of the page is replaced. Without a result the page says how to get one.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def paper(content: dict[str, Any]) -> str:
         return max(0.0, float(more))
 
     core_s = each("process", "simulator_s")
-    judge_s = each(numbers["small"][-1]["engine"], "judge_s")
+    record_s = each(numbers["small"][-1]["engine"], "evaluator_s")
     before_s = first["observe_s"] / first["episodes"] + each("process", "infer_s")
     after_s = max(0.0, each("process", "total_s") - each("process", "observe_s", "infer_s", "simulate_s"))
     merge_s = numbers["merge_s"] / first["episodes"]
@@ -79,23 +79,23 @@ def paper(content: dict[str, Any]) -> str:
     for cores in CORES:
         everywhere = EPISODES * core_s / (NODES * cores)
         single, divided = (
-            count * (before_s + after_s) + max(everywhere, count * judge_s) for count in (EPISODES, EPISODES / NODES)
+            count * (before_s + after_s) + max(everywhere, count * record_s) for count in (EPISODES, EPISODES / NODES)
         )
         rows.append([str(cores), *map(hours, (everywhere, single, divided, divided + EPISODES * merge_s))])
     header = ["cores a node", "simulation alone", "one run through Ray", f"{NODES} shards", "and merged"]
     return "\n\n".join(
         [
             table(header, rows),
-            f"An episode of {numbers['task']} takes {1e3 * core_s:.1f} ms of a core in the simulator, and of the judge "
-            f"{1e3 * before_s:.2f} ms to observe and infer, {1e3 * judge_s:.2f} ms to hand out and record, "
-            f"{1e3 * after_s:.2f} ms for the tables, and {1e3 * merge_s:.2f} ms to merge (its start included). What a "
-            "run costs before its first episode is left out.",
+            f"An episode of {numbers['task']} takes {1e3 * core_s:.1f} ms of a core in the simulator. It takes the "
+            f"evaluator {1e3 * before_s:.2f} ms to observe and infer, {1e3 * record_s:.2f} ms to hand out and record, "
+            f"{1e3 * after_s:.2f} ms for the tables, and {1e3 * merge_s:.2f} ms to merge (its start included). The "
+            "cost of a run before its first episode is not included.",
         ]
     )
 
 
 def hours(seconds: float) -> str:
-    """For people."""
+    """A duration in words."""
     if seconds < 60:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 3600 else f"{seconds / 3600:.1f} h"

@@ -241,7 +241,8 @@ def plain_tables(pairs: list[Pair]) -> tuple[list[Table], dict[str, Any], list[s
         "success_flips": len(flips),
     }
     notes = [
-        f"The two disagree on success in {len(flips)} and on the label in {len(different)} of {len(pairs)} episodes."
+        f"The two recipes disagree on success in {len(flips)} and on the label in {len(different)} of {len(pairs)} "
+        "episodes."
     ]
     notes += [
         f"  episode {pair.case.episode}, {pair.case.situation.target.spec.shape}: {pair.labels[0]} (lift "
@@ -268,7 +269,7 @@ def main() -> int:
     table, rows = tasks_table(arguments.tasks.split(","), arguments.policy, arguments.episodes, arguments.repeats)
     tables = [table]
     notes = [
-        "Rebuilding is what determinism costs: the world is built anew for every step (docs/world.md). It takes about "
+        "Rebuilding is the cost of determinism: the world is rebuilt for every step (docs/world.md). It takes about "
         "the same time in every task, so the shortest episodes, pushes, have the smallest share of stepping."
     ]
     numbers: dict[str, Any] = {"policy": arguments.policy, "tasks": rows}

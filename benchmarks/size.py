@@ -179,9 +179,9 @@ def report(arguments: argparse.Namespace, released: str, rows: dict[str, dict[st
     ours = total["maps"] + total["labels"] + total["tables"]
     notes = [
         f"Tables included, the release is {RAW_BYTES * total['steps'] / ours:,.0f} times smaller than raw float32. "
-        f"Deflate shrinks nothing more than {DEFLATE_LIMIT:,} times, so that gzip HDF5 and npz take "
+        f"Deflate compresses at most {DEFLATE_LIMIT:,} times, so gzip HDF5 and npz take "
         f"{RAW_BYTES / DEFLATE_LIMIT:.0f} bytes a step or more, even for empty maps.",
-        "The columns that are not labels say where everything was and what happened: numbers that hardly compress.",
+        "The columns that are not labels hold poses, sizes and measurements: numbers that hardly compress.",
         f"Manifest, datasheet, Croissant file and licence: {described:,} bytes in all, not counted above.",
     ]
     numbers = {"tasks": rows, "description": described, "raw_bytes_a_step": RAW_BYTES}

@@ -188,7 +188,7 @@ def main() -> int:
     arguments = options.parse_args()
     sizes, primitives = [int(size) for size in arguments.batches.split(",")], arguments.primitives.split(",")
     found = [measure(arguments, size, primitive) for size in sizes for primitive in primitives]
-    table = Table("primitive", "batch", "way", "samples/s", "each turn", "waiting for data", title="training")
+    table = Table("primitive", "batch", "way", "samples/s", "each repeat", "waiting for data", title="training")
     pick: Callable[[list[float]], float] = median
     for row in found:
         for name, speeds in row["speeds"].items():
@@ -206,7 +206,7 @@ def main() -> int:
     notes = [f"Device: {name}, {torch.get_num_threads()} threads; torch {torch.__version__}."]
     if arguments.device == "cpu":
         shares = ", ".join(f"{row['convolutions']:.0%} ({row['primitive']})" for row in found)
-        notes.append(f"Convolutions take {shares} of the time of ours; both ways do all of them.")
+        notes.append(f"Convolutions take {shares} of the time of `ours`; both ways compute all of them.")
     if len(sizes) > 1:
         notes += [saturation(found, primitive) for primitive in primitives]
     return finish(arguments, "train", [table], targets, notes, {"found": found})

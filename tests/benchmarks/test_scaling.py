@@ -24,7 +24,8 @@ def filled(tmp_path: Path, *words: str) -> str:
 
 
 def run(engine: str, workers: int, episodes: int, **seconds: float) -> dict[str, Any]:
-    fields = {"observe_s": 0.0, "infer_s": 0.0, "simulate_s": 0.0, "total_s": 0.0, "simulator_s": 0.0, "judge_s": 0.0}
+    names = ("observe_s", "infer_s", "simulate_s", "total_s", "simulator_s", "evaluator_s")
+    fields = dict.fromkeys(names, 0.0)
     return {"engine": engine, "workers": workers, "episodes": episodes, "sha256": "d", **fields, **seconds}
 
 
@@ -39,8 +40,8 @@ def test_without_a_result_the_page_says_how_to_get_one(tmp_path: Path) -> None:
 
 def test_ten_million_episodes_follow_from_the_cost_of_one(tmp_path: Path) -> None:
     """1 ms in the simulator, 0.2 ms before it and 0.1 ms after it, whatever a run costs at its start."""
-    runs = [run("process", 1, 2000, infer_s=3.4, simulate_s=5.0, total_s=9.6, simulator_s=4.0, judge_s=1.0)]
-    small = [run("process", 1, 1000, infer_s=3.2, simulate_s=4.0, total_s=8.3, simulator_s=3.0, judge_s=0.5)]
+    runs = [run("process", 1, 2000, infer_s=3.4, simulate_s=5.0, total_s=9.6, simulator_s=4.0, evaluator_s=1.0)]
+    small = [run("process", 1, 1000, infer_s=3.2, simulate_s=4.0, total_s=8.3, simulator_s=3.0, evaluator_s=0.5)]
     content = {
         "command": "python benchmarks/scaling.py",
         "machine": {"cpu": "a processor", "cores": 2, "load_average": 0.1},
@@ -51,9 +52,10 @@ def test_ten_million_episodes_follow_from_the_cost_of_one(tmp_path: Path) -> Non
     }
     (tmp_path / "result.json").write_text(json.dumps(content))
     text = filled(tmp_path, "--result", str(tmp_path / "result.json"))
-    assert "takes 1.0 ms of a core in the simulator, and of the judge 0.20 ms to observe and infer, 0.50 ms" in text
+    assert "in the simulator. It takes the evaluator 0.20 ms to observe and infer, 0.50 ms to hand out" in text
+    assert "takes 1.0 ms of a core" in text
     assert "0.10 ms for the tables, and 1.00 ms to merge" in text
-    # 10,000 s of a core on 800 cores; 8,000 s of one judge; 100 judges with 100,000 episodes each; 10,000 s of merging
+    # 10,000 s of a core on 800 cores; 8,000 s of one evaluator; 100 of them, 100,000 episodes each; 10,000 s to merge
     assert "| 8 | 12 s | 2.2 h | 1 min | 2.8 h |" in text
     assert "| engine |" in text and "Same bytes: yes." in text
 
