@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,25 +18,20 @@ if TYPE_CHECKING:
 __all__ = ["collect", "rounds"]
 
 
-@click.command()
-@click.argument("plan", type=click.Path(path_type=Path))
-@click.option(
+_plan = click.argument("plan", type=click.Path(path_type=Path))
+_output = click.option(
     "--output", type=click.Path(path_type=Path), default=Path("releases"), show_default=True, help="Folder of releases."
 )
+
+
+@click.command()
+@_plan
+@_output
 @engine_options
 @click.option("--dry-run", is_flag=True, help="Print episodes, policies, expected time and size; collect nothing.")
 @click.option("--register", "publish", is_flag=True, help="Also enter the release in manifests/datasets.")
 @click.option("--json", "as_json", is_flag=True, help="Print one object.")
-def collect(
-    plan: Path,
-    output: Path,
-    workers: int | None,
-    engine: str,
-    address: str | None,
-    dry_run: bool,
-    publish: bool,
-    as_json: bool,
-) -> None:
+def collect(plan: Path, output: Path, dry_run: bool, publish: bool, as_json: bool, **engine: Any) -> None:
     """Play every episode of PLAN, a TOML file, and seal the release that it names.
 
     To resume a collection that was stopped or killed, run the same command again. Policies are named as for
@@ -45,21 +40,21 @@ def collect(
     from baselines.rounds.plan import load_plan
     from evaluator.cli.progress import StderrProgress
 
-    wanted = load_plan(plan)
+    planned = load_plan(plan)
     if dry_run:
         from baselines.rounds.collect import inherit
         from baselines.rounds.estimate import estimate
 
-        inherit(wanted, output)
+        inherit(planned, output)
         with StderrProgress() as progress:
-            expected = estimate(wanted, engine=engine, workers=workers, address=address, progress=progress)
-        _print_expected(wanted.about.name, expected, as_json)
+            expected = estimate(planned, progress=progress, **engine)
+        _print_expected(planned.about.name, expected, as_json)
         return
 
     from baselines.rounds.collect import collect as run
 
     with StderrProgress() as progress:
-        done = run(wanted, output, engine=engine, workers=workers, address=address, progress=progress)
+        done = run(planned, output, progress=progress, **engine)
     if publish:
         from rema_data.release.registry import register
 
@@ -68,10 +63,8 @@ def collect(
 
 
 @click.command()
-@click.argument("plan", type=click.Path(path_type=Path))
-@click.option(
-    "--output", type=click.Path(path_type=Path), default=Path("releases"), show_default=True, help="Folder of releases."
-)
+@_plan
+@_output
 @click.option("--stages", type=click.IntRange(min=1), help="Stop after so many stages.")
 @click.option("--network", metavar="FOLDER/NAME", help="Train this network of a sealed round, and nothing else.")
 @click.option("--workers", type=click.IntRange(min=1), help="Simulation processes.  [default: one a core]")
@@ -99,31 +92,29 @@ def rounds(
         how = "was there" if stage.already else f"done in {stage.seconds:.0f} s"
         click.echo(f"round {stage.round}: {stage.what} {how}")
 
-    wanted = load_recursion(plan)
+    planned = load_recursion(plan)
     with StderrProgress() as progress:
         if network is not None:
-            show(train_network(wanted, output, network, progress=progress, device=device))
+            show(train_network(planned, output, network, progress=progress, device=device))
             return
-        left = stages
-        for stage in recurse(wanted, output, progress=progress, workers=workers, device=device):
+        done = 0
+        for stage in recurse(planned, output, progress=progress, workers=workers, device=device):
             show(stage)
-            if left is not None and not stage.already:
-                left -= 1
-            if left == 0:
+            done += not stage.already
+            if done == stages:
                 break
     if publishing:
-        publish(wanted, output)
+        publish(planned, output)
 
 
 def _print_done(done: Collected, as_json: bool) -> None:
     from rich.filesize import decimal
 
-    manifest = done.release.manifest
+    manifest, counts = done.release.manifest, done.release.manifest.counts
     if as_json:
         facts = {"release": manifest.name, "path": str(done.release.path), "sha256": manifest.sha256}
-        click.echo(json.dumps({**facts, "already": done.already, "counts": manifest.counts}, indent=2))
+        click.echo(json.dumps({**facts, "already": done.already, "counts": counts}, indent=2))
         return
-    counts = manifest.counts
     what = "was sealed before, by the same plan" if done.already else "is sealed"
     click.echo(
         f"{done.release.path} {what}: {counts['episodes']:,} episodes, {counts['steps']:,} steps, "
@@ -133,15 +124,7 @@ def _print_done(done: Collected, as_json: bool) -> None:
 
 
 def _print_expected(name: str, expected: Sequence[Estimate], as_json: bool) -> None:
-    totals = {
-        "episodes": sum(entry.block.episodes for entry in expected),
-        "seconds": round(sum(entry.seconds for entry in expected), 3),
-        "bytes": sum(entry.bytes for entry in expected),
-    }
-    if not as_json:
-        _print_table(name, expected, totals)
-        return
-    blocks = [
+    rows = [
         {
             **entry.block.key._asdict(),
             "episodes": entry.block.episodes,
@@ -151,10 +134,11 @@ def _print_expected(name: str, expected: Sequence[Estimate], as_json: bool) -> N
         }
         for entry in expected
     ]
-    click.echo(json.dumps({"release": name, "blocks": blocks, "totals": totals}, indent=2))
-
-
-def _print_table(name: str, expected: Sequence[Estimate], totals: dict[str, Any]) -> None:
+    totals = {key: sum(row[key] for row in rows) for key in ("episodes", "seconds", "bytes")}
+    if as_json:
+        totals["seconds"] = round(totals["seconds"], 3)
+        click.echo(json.dumps({"release": name, "blocks": rows, "totals": totals}, indent=2))
+        return
     from rich import box
     from rich.console import Console
     from rich.filesize import decimal
@@ -166,16 +150,17 @@ def _print_table(name: str, expected: Sequence[Estimate], totals: dict[str, Any]
         right = column in ("episodes", "time", "size")
         names = column in ("policy", "picks")
         table.add_column(column, justify="right" if right else "left", no_wrap=not names, overflow="fold")
-    for entry in expected:
-        block = entry.block
-        *picks, last = (use.spec.name for use in block.policies)
-        where = (str(block.key.round), block.key.task, block.key.split)
-        cost = (f"{block.episodes:,}", _duration(entry.seconds), decimal(entry.bytes))
-        table.add_row(*where, last, ", ".join(dict.fromkeys(picks)), *cost)
+    for row in rows:
+        *picks, last = row["policies"]
+        where = (str(row["round"]), row["task"], row["split"])
+        table.add_row(*where, last, ", ".join(dict.fromkeys(picks)), *_cost(row, decimal))
     table.add_section()
-    cost = (f"{totals['episodes']:,}", _duration(totals["seconds"]), decimal(totals["bytes"]))
-    table.add_row("all", "", "", "", "", *cost, style="bold")
+    table.add_row("all", "", "", "", "", *_cost(totals, decimal), style="bold")
     Console().print(table)
+
+
+def _cost(row: dict[str, Any], size: Callable[[int], str]) -> tuple[str, str, str]:
+    return f"{row['episodes']:,}", _duration(row["seconds"]), size(row["bytes"])
 
 
 def _duration(seconds: float) -> str:

@@ -31,16 +31,7 @@ class DivergedError(RemaError, ArithmeticError):
 
 @dataclass(frozen=True, slots=True)
 class Trained:
-    """What came of a training.
-
-    Attributes
-    ----------
-    folder : Path
-    name : str
-    checkpoint : Checkpoint
-    already : bool
-        It was there before.
-    """
+    """A trained network, and whether it was there before."""
 
     folder: Path
     name: str

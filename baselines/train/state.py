@@ -29,12 +29,10 @@ __all__ = ["TrainingState", "locked", "read_state", "state_path", "write_state"]
 
 @dataclass(frozen=True, slots=True)
 class TrainingState:
-    """Where a training stands.
+    """A training after ``update`` updates.
 
     Attributes
     ----------
-    update : int
-        Updates that are done.
     tensors : dict of str to Tensor
         ``model/``, ``exp_avg/``, ``exp_avg_sq/``, ``best/`` and ``generator``.
     facts : dict
@@ -63,7 +61,7 @@ class _Card:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Work on a training alone; its folder is created where it is missing.
+    """Lock the folder of a training, which is created where it is missing.
 
     Raises
     ------
@@ -92,13 +90,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def write_state(folder: Path, identity: Mapping[str, Any], state: TrainingState) -> None:
-    """Make a state durable, then remove older ones.
-
-    Raises
-    ------
-    StorageError
-        The disk is full; the state before this one is still there.
-    """
+    """Make a state durable, then remove older ones; after a StorageError the state before this one is still there."""
     data = save({key: tensor.contiguous() for key, tensor in state.tensors.items()})
     card = _Card(dict(identity), state.update, hashlib.sha256(data).hexdigest(), state.facts)
     stem = f"state-{state.update:08d}"
@@ -111,13 +103,7 @@ def write_state(folder: Path, identity: Mapping[str, Any], state: TrainingState)
 
 
 def read_state(folder: Path, identity: Mapping[str, Any]) -> TrainingState | None:
-    """The newest whole state in a folder, or None.
-
-    Raises
-    ------
-    RunMismatchError
-        It belongs to another training.
-    """
+    """The newest whole state in a folder, or None; RunMismatchError where it belongs to another training."""
     for path in sorted(folder.glob("state-*.json"), reverse=True):
         try:
             card = validated(_Card, json.loads(path.read_text(encoding="utf-8")), str(path))
