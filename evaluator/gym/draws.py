@@ -58,29 +58,19 @@ class Draws:
         self._lists: dict[str, ScenarioList] = {}
 
     def draw(self, rng: np.random.Generator, simulator: Simulator) -> Start:
-        """A scenario of the domain.
-
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-            Of the environment.
-        simulator : Simulator
-            Picks the tools of a new scenario.
-        """
+        """A scenario of the domain; the simulator picks the tools of a new one."""
         if self._domain != TRAIN:
-            index = int(rng.choice(self._playable))
-            return self._frozen(self._domain, index)
+            return self._frozen(self._domain, int(rng.choice(self._playable)))
         if self._plan.end_to_end:
             return Start("", Scenario(self._task, TRAIN, 0, draw_episode(rng, self._task)))
-        ready = prepare(simulator, self._task, rng)
-        return Start("", Scenario(self._task, TRAIN, 0, ready.placements, ready.grips, ready.pinch))
+        return Start("", prepare(simulator, self._task, rng).scenario(self._task, TRAIN))
 
-    def named(self, wanted: Any) -> Start:
-        """The frozen scenario that a user asks for.
+    def named(self, name: Any) -> Start:
+        """The frozen scenario of a name.
 
         Parameters
         ----------
-        wanted : int or str
+        name : int or str
             A position in the list of the domain (of ``val`` where the domain is ``train``), or a scenario's name such
             as ``v1/grasp/test/00042``.
 
@@ -89,16 +79,16 @@ class Draws:
         InputError
             There is no such scenario, it is of another task, or it has no tools in hand for the last step.
         """
-        if not isinstance(wanted, str):
-            return self._frozen("val" if self._domain == TRAIN else self._domain, int(wanted))
-        parts = _NAME.fullmatch(wanted)
-        if parts is None or parts["task"] != self._task:
+        if not isinstance(name, str):
+            return self._frozen("val" if self._domain == TRAIN else self._domain, int(name))
+        match = _NAME.fullmatch(name)
+        if match is None or match["task"] != self._task:
             raise InputError(
-                f"{wanted!r} is not a scenario of {self._task}",
+                f"{name!r} is not a scenario of {self._task}",
                 hint=f"name one like {scenario_id('v1', Scenario(self._task, 'val', 42, ()))}",
-                scenario=wanted,
+                scenario=name,
             )
-        return self._frozen(parts["split"], int(parts["index"]), parts["version"])
+        return self._frozen(match["split"], int(match["index"]), match["version"])
 
     @cached_property
     def _playable(self) -> list[int]:

@@ -119,13 +119,10 @@ class TaskEnv(gymnasium.Env[dict[str, Any], np.int64]):
         options = options or {}
         if unknown := sorted(set(options) - _OPTIONS):
             raise InputError(f"unknown option {unknown[0]!r}", hint=f"known: {', '.join(_OPTIONS)}")
-        wanted = options.get("scenario")
-        if wanted is None:
-            self._name, scenario = self._draws.draw(self.np_random, self._simulator)
-        else:
-            self._name, scenario = self._draws.named(wanted)
-        self._scenario = scenario
-        self._situation = first_step(scenario, self._protocol)
+        name = options.get("scenario")
+        start = self._draws.draw(self.np_random, self._simulator) if name is None else self._draws.named(name)
+        self._name, self._scenario = start
+        self._situation = first_step(start.scenario, self._protocol)
         self._action, self._ended = None, False
         return self._observation(self._situation), self._info(self._situation)
 

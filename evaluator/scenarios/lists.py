@@ -59,16 +59,7 @@ _PINCH = ("x_m", "y_m", "z_m", "yaw_rad", "left_m", "right_m")
 
 @dataclass(frozen=True, slots=True)
 class ScenarioList:
-    """A frozen list and its identity.
-
-    Attributes
-    ----------
-    task, split, version : str
-    sha256 : str
-        Of the Parquet file, hexadecimal.
-    scenarios : tuple of Scenario
-        Sorted by index, which counts from 0 without a gap.
-    """
+    """A frozen list, with the sha256 (hex) of its Parquet file. Indices of its scenarios count from 0 without a gap."""
 
     task: str
     split: str
@@ -159,20 +150,7 @@ def encode_list(scenarios: Sequence[Scenario]) -> bytes:
 
 
 def write_list(path: Path, scenarios: Sequence[Scenario]) -> str:
-    """Write a list atomically.
-
-    Returns
-    -------
-    str
-        sha256 of the file, for ``update_manifest``.
-
-    Raises
-    ------
-    InputError
-        See ``encode_list``.
-    StorageError
-        The disk is full or may not be written.
-    """
+    """Write a list atomically: sha256 of the file, for ``update_manifest``. Errors as in ``encode_list``."""
     payload = encode_list(scenarios)
     write_atomic(path, payload)
     return hashlib.sha256(payload).hexdigest()
@@ -187,18 +165,14 @@ def update_manifest(
     ----------
     path : Path
         ``manifests/scenarios/VERSION/manifest.json``.
-    version : str
-        Of all the lists in it.
     entry : str
         ``task/split``.
     file : str
         Of the list, relative to the manifest.
-    sha256 : str
-    count : int
     seed_domain : str
         Which part of the seed space its scenarios were drawn from.
     **origin
-        What else tells how the list was made, kept as it is.
+        More about how the list was made, kept as it is.
 
     Raises
     ------
@@ -290,7 +264,7 @@ def _read(path: Path, sha256: str, task: str, split: str) -> tuple[Scenario, ...
     columns = table.to_pydict()
     shapes = {shape.value: shape for shape in Shape}
 
-    def parts(prefix: str, pose: tuple[str, ...], kind: type) -> list[Any]:
+    def read(prefix: str, pose: tuple[str, ...], kind: type) -> list[Any]:
         size = zip(*(columns[f"{prefix}_{name}"] for name in _SPEC), strict=True)
         where = zip(*(columns[f"{prefix}_{name}"] for name in pose), strict=True)
         return [
@@ -298,10 +272,9 @@ def _read(path: Path, sha256: str, task: str, split: str) -> tuple[Scenario, ...
             for shape, lengths, numbers in zip(columns[f"{prefix}_shape"], size, where, strict=True)
         ]
 
-    nothing: list[Any] = [None] * table.num_rows
-    objects = [parts(f"object{n}", _PLACEMENT, Placement) for n in range(len(TASKS[task]))]
-    tools = [parts(f"tool{n}", _GRIP, Grip) for n in range(reference_tools(task))]
-    pinches = parts("pinch", _PINCH, Pinch) if reference_pinch(task) else nothing
+    objects = [read(f"object{n}", _PLACEMENT, Placement) for n in range(len(TASKS[task]))]
+    tools = [read(f"tool{n}", _GRIP, Grip) for n in range(reference_tools(task))]
+    pinches = read("pinch", _PINCH, Pinch) if reference_pinch(task) else [None] * table.num_rows
     grips = zip(*tools, strict=True) if tools else [()] * table.num_rows
     return tuple(
         Scenario(task, split, index, placements, tuple(grip for grip in held if grip is not None), pinch)

@@ -46,9 +46,6 @@ class Attempt:
 
     Attributes
     ----------
-    world : World
-    situation : Situation
-    hands : list of Hand
     target : int
         Body of the object of this step.
     allowed, forbidden : tuple of int

@@ -81,10 +81,10 @@ class Grasp(GraspKind):
                 attempt.note_lift(rest_z)
                 lost = 0 if attempt.touched() else lost + 1
                 if lost * POLL_EVERY == p.lost_steps:  # out of a rising hand's reach for good
-                    raise _dropped(attempt)
+                    raise self.dropped(attempt)
         attempt.step(p.hold_steps)
         if attempt.note_lift(rest_z) < p.grasp_success_lift_m or not attempt.touched():
-            raise _dropped(attempt)
+            raise self.dropped(attempt)
         if situation.last:
             return None
         if world.tilt(attempt.target) > p.max_tool_tilt_rad:
@@ -129,8 +129,3 @@ def _close(attempt: Attempt) -> None:
         still = still + 1 if hand.arm.fingers()[1] < p.finger_still_m_s else 0
         if still == 3:
             return
-
-
-def _dropped(attempt: Attempt) -> AttemptFailed:
-    lifted = attempt.evidence.lift_m > attempt.parameters.slip_lift_m
-    return AttemptFailed(Failure.SLIPPED if lifted else Failure.NOT_LIFTED)
