@@ -88,16 +88,7 @@ def chosen_by(policy: PolicySpec, checkpoint: Path | None = None) -> Iterator[Ca
 
 
 def write_preview(take: Take, path: Path, title: str, colours: int | None = None) -> None:
-    """Draw a step into a PNG file.
-
-    Parameters
-    ----------
-    take : Take
-    path : Path
-    title : str
-        Which episode this is.
-    colours : int, optional
-        Reduce the picture to so many colours: a much smaller file.
+    """Draw a step into a PNG file; reduced to so many ``colours`` it is much smaller.
 
     Raises
     ------
