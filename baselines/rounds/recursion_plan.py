@@ -14,7 +14,7 @@
 
     [[rounds.networks]]                         # trained on rounds 1 to 1, when they are sealed
     network = "round-1/grasp"                   # releases/checkpoints/my-recursion/round-1/grasp.safetensors
-    primitive = "grasp"                         # and whatever else a training has: baselines.train.config
+    primitive = "grasp"                         # and further fields of a training: baselines.train.config
     tasks = ["grasp"]
     updates = 160000
 

@@ -12,9 +12,8 @@ import os
 import socket
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from filelock import FileLock, Timeout
 from safetensors.torch import load, save
@@ -27,8 +26,7 @@ from rema_data.validation import plain, record, validated
 __all__ = ["TrainingState", "locked", "read_state", "state_path", "write_state"]
 
 
-@dataclass(frozen=True, slots=True)
-class TrainingState:
+class TrainingState(NamedTuple):
     """A training after ``update`` updates.
 
     Attributes
@@ -76,9 +74,9 @@ def locked(folder: Path) -> Iterator[None]:
         try:
             lock.acquire()
         except Timeout as error:
-            who = owner.read_text(encoding="utf-8") if owner.is_file() else "another process"
+            user = owner.read_text(encoding="utf-8") if owner.is_file() else "another process"
             raise InputError(
-                f"{who} is working on this training: {folder}",
+                f"{user} is working on this training: {folder}",
                 hint="wait for it, or choose another --output or --name",
                 path=str(folder),
             ) from error

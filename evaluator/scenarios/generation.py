@@ -23,9 +23,9 @@ from evaluator.scenarios import (
     write_list,
 )
 from evaluator.scenarios.policy_picks import Picker, draw_picked
-from evaluator.sim.parameters import WORLD, parameters_hash
+from evaluator.sim.parameters import parameters_hash
 from evaluator.sim.reference import prepare
-from evaluator.sim.simulator import Simulator
+from evaluator.sim.simulator import Simulator, process_simulator
 from evaluator.sim.spawn import episode_generator
 from rema_data.errors import InputError, IntegrityError
 from rema_data.manifests import read_manifest
@@ -56,15 +56,9 @@ def draw_scenario(simulator: Simulator, task: str, split: str, index: int) -> Dr
     return Drawn(ready.scenario(task, split, index), ready.redrawn)
 
 
-_simulator: Simulator | None = None
-
-
 def _draw_chunk(job: tuple[str, str, range]) -> list[Drawn]:
-    global _simulator
-    if _simulator is None:
-        _simulator = Simulator(WORLD)
     task, split, indices = job
-    return [draw_scenario(_simulator, task, split, index) for index in indices]
+    return [draw_scenario(process_simulator(), task, split, index) for index in indices]
 
 
 def generate_list(task: str, split: str, count: int, pool: Executor) -> Iterator[Drawn]:

@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from evaluator.sim.reference import reference_step
-from evaluator.sim.simulator import Simulator
+from evaluator.sim.simulator import process_simulator
 from evaluator.sim.spawn import draw_episode, draw_step
 from rema_data.errors import PolicyFailureError
 from rema_data.schema import Grip, Pinch, Placement, Scenario, Situation, StepOutcome, pinch_step, tool_steps
@@ -131,15 +131,9 @@ def _pick(task: str, step: int, picker: Picker, some: list[Picked]) -> list[bool
     return [outcome.success for outcome in outcomes]
 
 
-_simulator: Simulator | None = None
-
-
 def _pinch_one(situation: Situation, rng: np.random.Generator) -> Pinch | None:
     """In a worker of the pool."""
-    global _simulator
-    if _simulator is None:
-        _simulator = Simulator()
-    outcome = reference_step(_simulator, situation, rng)
+    outcome = reference_step(process_simulator(), situation, rng)
     return None if outcome is None else outcome.pinch
 
 

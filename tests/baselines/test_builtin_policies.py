@@ -154,7 +154,7 @@ def test_the_reference_does_not_depend_on_batch_or_order() -> None:
         assert alone == whole[::-1]
 
 
-def test_the_reference_leaves_to_the_scripted_policy_what_it_has_no_choice_for() -> None:
+def test_the_reference_falls_back_to_the_scripted_policy() -> None:
     batch = make_batch(8, primitive="push")
     situations = (make_situation(task="push"),) * 8
     assert ReferencePolicy().act(batch, situations).tolist() == ScriptedPolicy().act(batch, situations).tolist()

@@ -15,8 +15,9 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.sim.attempt import POLL_EVERY, Attempt, AttemptFailed
-from evaluator.sim.footprints import SIDES, hand_footprint
+from evaluator.sim.attempt import CLEAR_M, POLL_EVERY, Attempt, AttemptFailed
+from evaluator.sim.footprints import SIDES, clear_of_target, hand_footprint
+from evaluator.sim.motion import JointPath, line, profile
 from evaluator.sim.parameters import WORLD, WorldParameters
 from evaluator.sim.planar import Rect
 from evaluator.sim.staging import ARMS, HandPose, Part, Pose, Thing, turned
@@ -184,6 +185,28 @@ class Kind(ABC):
     @abstractmethod
     def carry_out(self, attempt: Attempt, pose: Pose) -> Grip | Pinch | None:
         """Carry out an action: what its success leaves in the hands for a next step; AttemptFailed where it fails."""
+
+    def approach(self, attempt: Attempt, pose: Pose, low_m: float, path: JointPath) -> None:
+        """Put one hand at rest where ``path`` begins, at ``low_m``, or above the target and move it down from there."""
+        p, situation, (hand,) = attempt.parameters, attempt.situation, attempt.hands
+        (x, y, yaw), (opening,) = pose, self.openings(situation, False, p)
+        start = low_m
+        if not clear_of_target(situation, self.footprint(situation, p), pose, CLEAR_M):
+            start = self.start_height(situation, p.approach_clearance_m)
+        if start <= low_m:
+            hand.arm.reset(path.positions[0], opening)
+            self.take(attempt, pose, start)
+            return
+        fall = profile(start - low_m, p.descend_speed_m_s, attempt.tick_s, p.ramp_share)
+        ends = (x, y, start), (x, y, low_m)
+        down = line(hand.arm.base, *ends, yaw, fall, attempt.tick_s, self.symmetric, p)
+        down.positions[:, 6] += path.positions[0, 6] - down.positions[-1, 6]  # the same turn of joint 7
+        hand.arm.reset(down.positions[0], opening)
+        self.take(attempt, pose, start)
+        attempt.descend([down])
+
+    def take(self, attempt: Attempt, pose: Pose, height_m: float) -> None:  # noqa: B027 - most kinds hold nothing
+        """Put into the hand what it holds."""
 
     @abstractmethod
     def goal(self, p: WorldParameters) -> str:
