@@ -50,23 +50,9 @@ def collect(
 ) -> Collected:
     """Play every episode of a plan that has not been committed yet, then seal the release ``output / name``.
 
-    Parameters
-    ----------
-    plan : CollectionPlan
-    output : Path
-        Folder of releases.
-    engine : str
-        Name of an installed engine.
-    workers : int, optional
-        Every core by default, with ``ray`` every CPU of the cluster. No byte of the release depends on either.
-    address : str, optional
-        Of the Ray cluster; see ``make_engine``.
-    progress : Progress, optional
-    backend : Backend, optional
-        The real world and the real host of policies by default.
-    chunk_episodes : int
-        Episodes that are committed together. A policy is asked about one chunk at a time, so this number is part of
-        the identity of a collection.
+    ``engine``, ``workers`` and ``address`` are those of ``make_engine``: no byte of the release depends on them.
+    ``backend`` is the real world by default. ``chunk_episodes`` are committed together; a policy is asked about one
+    chunk at a time, so this number is part of the identity of a collection.
 
     Raises
     ------
@@ -77,12 +63,8 @@ def collect(
         installed.
     SubmissionError, PolicyFailureError
         A policy cannot be loaded, or gave no action.
-    InfrastructureError
-        Workers died; run again to go on.
-    StorageError
-        The disk is full; run again when it is not.
-    KeyboardInterrupt
-        Workers are stopped; run again to go on.
+    InfrastructureError, StorageError, KeyboardInterrupt
+        Workers died, the disk is full, or the user stopped it; run again to go on.
     """
     collection = _Collection(plan, output, progress or Silent(), backend or default_backend(), chunk_episodes)
     return collection.run(partial(make_engine, engine, workers, address=address))
@@ -93,12 +75,10 @@ def inherit(plan: CollectionPlan, output: Path) -> tuple[ReleaseFolder | None, l
 
     Raises
     ------
-    InputError
+    InputError, MissingFileError
         There is no such parent, it has no such round, or the round does not lie whole beside the new release.
     RunMismatchError
-        What lies there under its name is other data.
-    MissingFileError
-        It is not on this machine.
+        Other data lie there under its name.
     """
     if plan.parent is None:
         return None, []

@@ -1,6 +1,6 @@
-"""What a plan will take: a few episodes of every kind are played, measured, and thrown away.
+"""Expected time and size of a plan: a few episodes of every kind are played, measured, and thrown away.
 
-The episodes are those that the collection begins with, so only the seconds differ from run to run.
+They are the first episodes of the collection, so only the seconds differ from run to run.
 """
 
 from __future__ import annotations
@@ -62,20 +62,7 @@ def estimate(
 ) -> list[Estimate]:
     """Expected seconds and bytes of every block of a plan, from a pilot in this process.
 
-    Parameters
-    ----------
-    plan : CollectionPlan
-    engine, workers, address
-        As in ``collect``.
-    progress : Progress, optional
-    backend : Backend, optional
-
-    Raises
-    ------
-    SubmissionError, PolicyFailureError
-        A policy cannot be loaded, or gave no action.
-    InfrastructureError
-        An episode of the pilot could not be simulated.
+    Options and errors are those of ``collect``.
     """
     progress, backend = progress or Silent(), backend or default_backend()
     kinds: dict[Kind, BlockPlan] = {}

@@ -105,18 +105,8 @@ class _Asked:
 class Player:
     """Plays chunks with an engine.
 
-    Parameters
-    ----------
-    seed : int
-        Root seed of the plan.
-    backend : Backend
-    behaviour : callable
-        (block, step) to the policy that plays it.
-
-    Attributes
-    ----------
-    simulate_s : float
-        Seconds inside simulators, over all workers.
+    ``seed`` is the root seed of the plan; ``behaviour`` maps (block, step) to a policy; ``simulate_s`` counts the
+    seconds inside simulators, over all workers.
     """
 
     def __init__(self, seed: int, backend: Backend, behaviour: Callable[[BlockKey, int], _Behaviour]) -> None:
@@ -133,14 +123,8 @@ class Player:
     ) -> Iterator[tuple[Chunk, list[Episode]]]:
         """Play chunks and yield each as soon as it is done, in no fixed order.
 
-        The engine stays open; ``advance`` is called with the number of newly finished episodes.
-
-        Raises
-        ------
-        PolicyFailureError
-            A policy gave no action for an episode.
-        InfrastructureError
-            Workers cannot be started, or one episode cost two of them.
+        The engine stays open; ``advance`` is called with the number of newly finished episodes. Raises
+        PolicyFailureError where a policy gave no action, InfrastructureError where two workers died on an episode.
         """
         for results in engine.map(self._job_batches(iter(chunks))):
             for result in results:

@@ -76,12 +76,7 @@ def train_network(
 ) -> Stage:
     """Train the network ``FOLDER/NAME`` of a plan alone, so that several machines or processes share a round.
 
-    Raises
-    ------
-    InputError
-        The plan has no such network.
-    MissingFileError
-        Its round is not sealed yet.
+    Raises InputError where the plan has no such network, MissingFileError where its round is not sealed yet.
     """
     networks = {f"{one.folder}/{one.name}": (entry, one) for entry in plan.rounds for one in entry.networks}
     if place not in networks:
@@ -99,12 +94,7 @@ def train_network(
 def publish(plan: RecursionPlan, releases: Path) -> None:
     """Enter the last release, and the networks of the plan's policies, in the manifests.
 
-    Raises
-    ------
-    MissingFileError
-        A stage is not done yet.
-    InputError
-        A release of that name is published with other content.
+    Raises MissingFileError where a stage is not done yet, InputError where the name is published with other content.
     """
     path = releases / plan.name / MANIFEST
     networks = [network for entry in plan.rounds for network in entry.networks]

@@ -66,13 +66,7 @@ def check_sealed(plan: RecursionPlan, entry: RoundPlan, release: ReleaseFolder) 
     record, and the networks that played, where the process that collected noted them. The code of the policies and the
     simulator are not compared: the sealed episodes stay valid when these change.
 
-    Raises
-    ------
-    RunMismatchError
-    MissingFileError
-        A network that plays the round is not there.
-    IntegrityError
-        A table of the release is damaged.
+    Raises RunMismatchError; MissingFileError without a network that plays the round; IntegrityError for damaged tables.
     """
     planned = plan.collection(entry.number, release.root)
     if difference := _difference(planned, plan, entry, release):

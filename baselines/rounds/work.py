@@ -106,14 +106,8 @@ class WorkFolder:
 
         ``identity`` is everything that decides a byte of a chunk, ready for JSON.
 
-        Raises
-        ------
-        InputError
-            Another process is collecting there.
-        RunMismatchError
-            It holds chunks of another plan.
-        IntegrityError
-            A line of its log is damaged.
+        Raises InputError where another process is collecting there, RunMismatchError where it holds chunks of another
+        plan, and IntegrityError where a line of its log is damaged.
         """
         with storage_errors(path):
             path.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Which scenario an episode is about: a new one from the training domain, or a frozen one of a named list."""
+"""The scenario of an episode: a new one from the training domain, or a frozen one of a list."""
 
 from __future__ import annotations
 
@@ -33,21 +33,11 @@ class Start(NamedTuple):
 
 
 class Draws:
-    """Scenarios of a task.
+    """Scenarios of a task: drawn from a domain, or chosen by name.
 
-    Parameters
-    ----------
-    task : str
-    domain : {"train", "test", "val"}
-        Where scenarios come from that are not asked for by name. ``train`` is endless: objects from the generator of
-        the episode and, where the last step is played alone, tools as the reference picks them; it meets no frozen
-        list. The frozen lists are drawn from with replacement.
-    protocol : {"conditional", "end-to-end"}
-
-    Raises
-    ------
-    InputError
-        There is no such domain.
+    The domain ``train`` is endless and shares nothing with the frozen lists: objects come from the generator of the
+    episode, and where only the last step is played, tools as the reference policy picks them. From the frozen lists,
+    ``test`` and ``val``, scenarios are drawn with replacement.
     """
 
     def __init__(self, task: str, domain: str, protocol: str) -> None:

@@ -97,17 +97,12 @@ def write_lists(
     ----------
     version : str
         Name of the folder under ``manifests/scenarios``.
-    pool : Executor
-        Draws scenarios.
-    tasks : tuple of str
     counts : dict, optional
         Scenarios of each split; ``COUNTS`` by default.
-    progress : Progress, optional
-        Every list is a phase of it.
     picker : Picker, optional
-        Picks the tools; the privileged reference picks by default.
+        Picks the tools; the privileged reference policy by default.
     keep : tuple of str
-        Tasks besides, whose lists of the present version are named again.
+        More tasks, whose present lists the new manifest names.
 
     Returns
     -------

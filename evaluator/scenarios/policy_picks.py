@@ -28,15 +28,10 @@ LIMIT = 200
 
 @dataclass(frozen=True, slots=True)
 class Picker:
-    """A policy that picks the tools of a list.
+    """A policy that picks the tools of a list, with the name and digest that the manifest records.
 
-    Attributes
-    ----------
-    name, digest : str
-        Named in the manifest.
-    carry_out : callable
-        Situations of one step to the outcomes of what the policy does in them, in order. Raises
-        ``PolicyFailureError`` where it gives no action.
+    ``carry_out`` maps situations of one step to the outcomes of the policy's actions, in order. It raises
+    ``PolicyFailureError`` where the policy gives no action.
     """
 
     name: str
