@@ -53,7 +53,7 @@ def count(job: tuple[str, range, WorldParameters]) -> dict[str, collections.Coun
     counts: dict[str, collections.Counter[str]] = {"random": collections.Counter(), "scripted": collections.Counter()}
     for episode in episodes:
         rng = episode_generator(ROOT_SEED, "calibrate", task, episode)
-        situation = prepare(simulator, task, rng).last_situation(task)
+        situation = prepare(simulator, task, rng).scenario(task).last_situation()
         x_m, y_m = KINDS[kind].aim(situation.target, parameters)
         yaw = float(rng.integers(kind.angles)) * 2 * np.pi / grid.ANGLES
         actions = {

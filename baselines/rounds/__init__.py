@@ -1,7 +1,6 @@
-"""Recursive collection: a plan of rounds is played by behaviour policies and sealed as a release.
+"""Recursive collection: behaviour policies play a plan of rounds, and the episodes are sealed as a release.
 
-Read in this order: ``plan`` (what is asked), ``collect`` (from plan to release), ``play`` (observe, ask, simulate),
-``chunk`` and ``work`` (what survives a kill), ``command`` (``rema collect``). Then the recursion, ``rema rounds``:
-``recursion_plan`` (rounds, and the networks after each), ``recursion`` (stage after stage), ``sealed`` (whether a stage
-is done), ``notes`` (what it took, and who played), ``recursion_command``.
+Read in this order: ``plan`` (what is collected), ``collect`` (from plan to release), ``play`` (observe, ask, simulate),
+``work`` (what survives a kill). Then the recursion: ``recursion_plan`` (rounds, and the networks after each),
+``recursion`` (stage after stage), ``sealed`` (whether a stage is done). ``command``: ``rema collect``, ``rema rounds``.
 """

@@ -8,15 +8,12 @@ import shutil
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
-from baselines.rounds.behaviour import BehaviourPolicies
-from baselines.rounds.chunk import CHUNK_EPISODES, EncodedChunk, cut
 from baselines.rounds.plan import CollectionPlan
-from baselines.rounds.play import BATCH, Player
-from baselines.rounds.work import WorkFolder, work_path
+from baselines.rounds.play import BATCH, BehaviourPolicies, Player
+from baselines.rounds.work import CHUNK_EPISODES, WorkFolder, cut, work_path
 from evaluator.engines import Engine, make_engine
 from evaluator.engines.child import call_in_child
 from evaluator.runner import Backend, default_backend
@@ -27,21 +24,14 @@ from rema_data.release.manifest import MANIFEST, parse_manifest
 from rema_data.release.registry import load_published, published
 from rema_data.release.seal import file_sha256, seal
 from rema_data.schema import SCHEMA_VERSION
-from rema_data.store.block import BlockKey, BlockWriter
+from rema_data.store.block import BlockKey, BlockWriter, encode_episodes
 
 __all__ = ["Collected", "collect", "inherit"]
 
 
 @dataclass(frozen=True, slots=True)
 class Collected:
-    """What came of a plan.
-
-    Attributes
-    ----------
-    release : ReleaseFolder
-    already : bool
-        The release was there before.
-    """
+    """The sealed release of a plan, and whether it was there before."""
 
     release: ReleaseFolder
     already: bool
@@ -60,23 +50,9 @@ def collect(
 ) -> Collected:
     """Play every episode of a plan that has not been committed yet, then seal the release ``output / name``.
 
-    Parameters
-    ----------
-    plan : CollectionPlan
-    output : Path
-        Folder of releases.
-    engine : str
-        Name of an installed engine.
-    workers : int, optional
-        Every core by default, with ``ray`` every CPU of the cluster. No byte of the release depends on either.
-    address : str, optional
-        Of the Ray cluster; see ``make_engine``.
-    progress : Progress, optional
-    backend : Backend, optional
-        The real world and the real host of policies by default.
-    chunk_episodes : int
-        Episodes that are committed together. A policy is asked about episodes of one chunk at a time, so this belongs
-        to the identity of a collection.
+    ``engine``, ``workers`` and ``address`` are those of ``make_engine``: no byte of the release depends on them.
+    ``backend`` is the real world by default. ``chunk_episodes`` are committed together; a policy is asked about one
+    chunk at a time, so this number is part of the identity of a collection.
 
     Raises
     ------
@@ -87,12 +63,8 @@ def collect(
         installed.
     SubmissionError, PolicyFailureError
         A policy cannot be loaded, or gave no action.
-    InfrastructureError
-        Workers died; run again to go on.
-    StorageError
-        The disk is full; run again when it is not.
-    KeyboardInterrupt
-        Workers are stopped; run again to go on.
+    InfrastructureError, StorageError, KeyboardInterrupt
+        Workers died, the disk is full, or the user stopped it; run again to go on.
     """
     collection = _Collection(plan, output, progress or Silent(), backend or default_backend(), chunk_episodes)
     return collection.run(partial(make_engine, engine, workers, address=address))
@@ -103,12 +75,10 @@ def inherit(plan: CollectionPlan, output: Path) -> tuple[ReleaseFolder | None, l
 
     Raises
     ------
-    InputError
+    InputError, MissingFileError
         There is no such parent, it has no such round, or the round does not lie whole beside the new release.
     RunMismatchError
-        What lies there under its name is other data.
-    MissingFileError
-        It is not on this machine.
+        Other data lie there under its name.
     """
     if plan.parent is None:
         return None, []
@@ -144,49 +114,36 @@ def inherit(plan: CollectionPlan, output: Path) -> tuple[ReleaseFolder | None, l
 
 
 class _Collection:
-    """A plan on its way to one folder of releases."""
-
     def __init__(
         self, plan: CollectionPlan, output: Path, progress: Progress, backend: Backend, chunk_episodes: int
     ) -> None:
         self.plan, self.output, self.progress, self.backend = plan, output, progress, backend
-        self.chunk_episodes = chunk_episodes
         self.chunks = list(cut(plan.blocks, chunk_episodes))
         self.parent, self.reused = inherit(plan, output)
         self.work = work_path(output, plan.about.name)
         self.policies = BehaviourPolicies(plan.blocks, backend, self.work)
         self.fingerprint: dict[str, str] = call_in_child(backend.fingerprint)
-
-    def data_identity(self) -> dict[str, Any]:
-        """Everything that decides a byte of a chunk, ready for JSON."""
-        blocks = [
-            {
-                "block": block.key.path,
-                "episodes": block.episodes,
-                "policies": [[use.spec.name, self.policies.digests[use], use.device] for use in block.policies],
-            }
-            for block in self.plan.blocks
-        ]
-        return {
+        self.identity = {  # all that decides a byte of a chunk, ready for JSON
             "schema_version": SCHEMA_VERSION,
-            "seed": self.plan.seed,
-            "blocks": blocks,
-            "batches": [self.chunk_episodes, BATCH],
+            "seed": plan.seed,
+            "blocks": [
+                {
+                    "block": block.key.path,
+                    "episodes": block.episodes,
+                    "policies": [[use.spec.name, self.policies.digests[use], use.device] for use in block.policies],
+                }
+                for block in plan.blocks
+            ],
+            "batches": [chunk_episodes, BATCH],
             "fingerprint": self.fingerprint,
         }
 
-    def work_identity(self) -> dict[str, Any]:
-        """Whom a work folder belongs to: episodes made by other code of the world are not mixed with these.
-
-        A finished release does not depend on the code: that of drawing and of the command line never counts.
-        """
-        return {**self.data_identity(), "code": self.backend.observation_hash}
-
+    @cached_property
     def plan_sha256(self) -> str:
-        """Identity of the plan: its meaning, its policies and the simulator."""
+        """Identity of the plan: its meaning, its policies and the simulator, but not the code of the world."""
         parent = None if self.parent is None else self.parent.manifest.sha256
         reused = {"parent": parent, "reused": list(self.plan.reused)}
-        content = {"about": asdict(self.plan.about), **self.data_identity(), **reused}
+        content = {"about": asdict(self.plan.about), **self.identity, **reused}
         return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
     def sealed(self) -> Collected | None:
@@ -196,7 +153,7 @@ class _Collection:
             return None
         path = target / MANIFEST
         manifest = parse_manifest(path.read_bytes(), str(path)) if path.is_file() else None
-        if manifest is None or manifest.plan_sha256 != self.plan_sha256():
+        if manifest is None or manifest.plan_sha256 != self.plan_sha256:
             what = "is not a sealed release" if manifest is None else "was made by another plan, policy or simulator"
             raise RunMismatchError(
                 f"{target} {what}: a sealed release is never written to",
@@ -206,14 +163,9 @@ class _Collection:
         return Collected(ReleaseFolder(manifest, self.output), already=True)
 
     def check_name(self) -> None:
-        """Raise where the name is that of a published release which this plan has not made.
-
-        Raises
-        ------
-        RunMismatchError
-        """
+        """Raise where the name is that of a published release which this plan has not made."""
         name = self.plan.about.name
-        if name in {entry.name for entry in published()} and load_published(name).plan_sha256 != self.plan_sha256():
+        if name in {entry.name for entry in published()} and load_published(name).plan_sha256 != self.plan_sha256:
             raise RunMismatchError(
                 f"{self.plan.path}: {name} is a published release, made by another plan, policy or simulator",
                 hint="give the plan another name",
@@ -222,16 +174,16 @@ class _Collection:
             )
 
     def run(self, start_engine: Callable[[str], Engine]) -> Collected:
-        if (found := self.sealed()) is not None:
-            shutil.rmtree(self.work, ignore_errors=True)
-            return found
-        self.check_name()
-        self.plan.check_devices()
-        with WorkFolder.locked(self.work, self.work_identity()) as work:
-            found = self.sealed()  # by a process that we may have waited for
-            if found is None:
-                self.play(work, start_engine)
-                found = Collected(self.seal(work), already=False)
+        found = self.sealed()
+        if found is None:
+            self.check_name()
+            self.plan.check_devices()
+            # Episodes that other code of the world made are not mixed with these.
+            with WorkFolder.locked(self.work, {**self.identity, "code": self.backend.observation_hash}) as work:
+                found = self.sealed()  # another process may have sealed it meanwhile
+                if found is None:
+                    self.play(work, start_engine)
+                    found = Collected(self.seal(work), already=False)
         shutil.rmtree(self.work, ignore_errors=True)
         return found
 
@@ -250,7 +202,7 @@ class _Collection:
             with closing(self.policies), closing(start_engine(self.backend.simulator)) as running:
                 self.policies.start(chunk.block for chunk in missing)
                 for chunk, episodes in player.play(missing, running, self.progress.advance):
-                    work.commit(chunk, EncodedChunk.of(episodes))
+                    work.commit(chunk, encode_episodes(episodes))
         except PolicyFailureError as error:
             error.hint = f"fix the policy, delete {self.work} and run the same command again"
             if any(self.work.glob("policy-*.log")):
@@ -264,8 +216,7 @@ class _Collection:
         for block in self.plan.blocks:
             writer = BlockWriter(staging / block.key.path)
             for chunk in (chunk for chunk in self.chunks if chunk.block == block.key):
-                encoded = work.read(chunk)
-                writer.append(encoded.episodes, encoded.steps, encoded.maps)
+                writer.append(*work.read(chunk))
                 self.progress.advance(1)
             writer.close()
         return seal(
@@ -274,7 +225,7 @@ class _Collection:
             self.plan.about,
             [block.key for block in self.plan.blocks],
             fingerprint=self.fingerprint,
-            plan_sha256=self.plan_sha256(),
+            plan_sha256=self.plan_sha256,
             parent=None if self.parent is None else self.parent.manifest,
             reused=self.reused,
         )

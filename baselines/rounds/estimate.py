@@ -1,6 +1,6 @@
-"""What a plan will take: a few episodes of every kind are played, measured, and thrown away.
+"""Expected time and size of a plan: a few episodes of every kind are played, measured, and thrown away.
 
-The episodes are those that the collection begins with, so only the seconds differ from run to run.
+They are the first episodes of the collection, so only the seconds differ from run to run.
 """
 
 from __future__ import annotations
@@ -13,15 +13,14 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from baselines.rounds.behaviour import BehaviourPolicies
-from baselines.rounds.chunk import Chunk, EncodedChunk
 from baselines.rounds.plan import BlockPlan, CollectionPlan, PolicyUse
-from baselines.rounds.play import Player
+from baselines.rounds.play import BehaviourPolicies, Player
+from baselines.rounds.work import Chunk, encoded
 from evaluator.engines import Engine, default_workers, engine_type, make_engine, worker_count
 from evaluator.runner import Backend, default_backend
 from rema_data.progress import Progress, Silent
 from rema_data.schema import Episode
-from rema_data.store.block import BlockWriter
+from rema_data.store.block import BlockWriter, encode_episodes
 
 __all__ = ["Estimate", "estimate"]
 
@@ -35,14 +34,7 @@ Kind = tuple[str, tuple[PolicyUse, ...]]
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What a block is expected to take.
-
-    Attributes
-    ----------
-    block : BlockPlan
-    seconds : float
-    bytes : int
-    """
+    """The seconds and bytes that a block is expected to take."""
 
     block: BlockPlan
     seconds: float
@@ -58,14 +50,6 @@ class _Rates:
     start_bytes: float
     bytes: float
 
-    def of(self, block: BlockPlan, workers: int, cores: int) -> Estimate:
-        """With so many worker processes beside this one, or none (then everything happens here)."""
-        # However many workers there are, they and this process have no more than the cores.
-        seconds = (self.simulate_s + self.rest_s) / min(workers + 1, cores)
-        if workers:
-            seconds = max(seconds, self.rest_s, self.simulate_s / workers)
-        return Estimate(block, block.episodes * seconds, round(self.start_bytes + block.episodes * self.bytes))
-
 
 def estimate(
     plan: CollectionPlan,
@@ -78,20 +62,7 @@ def estimate(
 ) -> list[Estimate]:
     """Expected seconds and bytes of every block of a plan, from a pilot in this process.
 
-    Parameters
-    ----------
-    plan : CollectionPlan
-    engine, workers, address
-        As in ``collect``.
-    progress : Progress, optional
-    backend : Backend, optional
-
-    Raises
-    ------
-    SubmissionError, PolicyFailureError
-        A policy cannot be loaded, or gave no action.
-    InfrastructureError
-        An episode of the pilot could not be simulated.
+    Options and errors are those of ``collect``.
     """
     progress, backend = progress or Silent(), backend or default_backend()
     kinds: dict[Kind, BlockPlan] = {}
@@ -111,7 +82,16 @@ def estimate(
     if place == "here":
         count = 0
     cores = count + 1 if place == "cluster" else default_workers()
-    return [rates[_kind(block)].of(block, count, cores) for block in plan.blocks]
+    return [_expected(block, rates[_kind(block)], count, cores) for block in plan.blocks]
+
+
+def _expected(block: BlockPlan, rates: _Rates, workers: int, cores: int) -> Estimate:
+    """With so many worker processes beside this one, or none, where this process simulates too."""
+    # However many workers there are, they and this process have no more than the cores.
+    seconds = (rates.simulate_s + rates.rest_s) / min(workers + 1, cores)
+    if workers:
+        seconds = max(seconds, rates.rest_s, rates.simulate_s / workers)
+    return Estimate(block, block.episodes * seconds, round(rates.start_bytes + block.episodes * rates.bytes))
 
 
 def _kind(block: BlockPlan) -> Kind:
@@ -123,7 +103,7 @@ def _measure(player: Player, engine: Engine, block: BlockPlan, folder: Path, pro
     list(player.play([warm], engine, progress.advance))
     before, start = player.simulate_s, time.perf_counter()
     [(_, episodes)] = player.play([timed], engine, progress.advance)
-    EncodedChunk.of(episodes).to_bytes()
+    encoded(encode_episodes(episodes))
     total_s, simulate_s = time.perf_counter() - start, player.simulate_s - before
     half, whole = (_block_bytes(folder / f"{n}", episodes[:n]) for n in (PILOT // 2, PILOT))
     slope = (whole - half) / (PILOT - PILOT // 2)
@@ -132,9 +112,8 @@ def _measure(player: Player, engine: Engine, block: BlockPlan, folder: Path, pro
 
 def _block_bytes(folder: Path, episodes: Sequence[Episode]) -> int:
     """Size of a block that holds these episodes."""
-    encoded = EncodedChunk.of(episodes)
     writer = BlockWriter(folder)
-    writer.append(encoded.episodes, encoded.steps, encoded.maps)
+    writer.append(*encode_episodes(episodes))
     writer.close()
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     shutil.rmtree(folder)

@@ -60,14 +60,7 @@ _HINT = "fix the plan; examples/collect_plan.toml shows how one is written"
 
 @dataclass(frozen=True, slots=True)
 class PolicyUse:
-    """A behaviour policy: its code, weights and device.
-
-    Attributes
-    ----------
-    spec : PolicySpec
-    checkpoint : Path or None
-    device : str
-    """
+    """A behaviour policy: its code, weights and device."""
 
     spec: PolicySpec
     checkpoint: Path | None = None
@@ -76,15 +69,7 @@ class PolicyUse:
 
 @dataclass(frozen=True, slots=True)
 class BlockPlan:
-    """What one block is to hold.
-
-    Attributes
-    ----------
-    key : BlockKey
-    episodes : int
-    policies : tuple of PolicyUse
-        Of every step of the task.
-    """
+    """What one block is to hold, with the policy of every step of its task."""
 
     key: BlockKey
     episodes: int
@@ -97,10 +82,6 @@ class CollectionPlan:
 
     Attributes
     ----------
-    path : Path
-        Of the file.
-    about : Description
-    seed : int
     blocks : tuple of BlockPlan
         To be played, in the order of the file.
     reused : tuple of int
@@ -148,7 +129,7 @@ def _day(text: str) -> str:
 
 @record
 class About:
-    """What a plan of either kind says. Its rounds are checked one by one, since messages count them from 1."""
+    """The fields of both kinds of plans. Rounds are checked one by one, since messages count them from 1."""
 
     name: Annotated[Text, AfterValidator(check_name)]
     title: Text
@@ -224,15 +205,7 @@ def load_plan(path: Path) -> CollectionPlan:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Content of a plan's file.
-
-    Raises
-    ------
-    MissingFileError
-        It is not there.
-    InputError
-        It is not TOML.
-    """
+    """Content of a plan's file; MissingFileError without it, InputError where it is not TOML."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -246,32 +219,16 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def reuses(table: dict[str, Any], path: Path, where: str) -> bool:
-    """Whether a round is one of an earlier release.
-
-    Raises
-    ------
-    InputError
-        It says more than that.
-    """
+    """Whether a round is one of an earlier release, and says no more than that."""
     hint = "write reuse = true alone, or leave it out"
     return "reuse" in table and validated(_Reused, table, str(path), at=where, hint=hint).reuse
 
 
 def read_plan(content: dict[str, Any], path: Path, checkpoint: _Networks | None = None) -> CollectionPlan:
-    """Check a plan that was read already.
+    """Check the content of a plan; errors are those of ``load_plan``.
 
-    Parameters
-    ----------
-    content : dict
-    path : Path
-        Of the file; the files that a plan names are looked for beside it.
-    checkpoint : callable, optional
-        Gives the folder of the networks that a plan names; by default beside it, where they have to be.
-
-    Raises
-    ------
-    MissingFileError, InputError
-        See ``load_plan``.
+    Files that the plan names are looked for beside ``path``. ``checkpoint`` gives the folder of the networks that a
+    plan names; by default they have to be beside it, too.
     """
     plan = validated(_Collection, content, str(path), hint=_HINT)
     networks = checkpoint or (lambda name: check_checkpoint(path.parent / Path(name).expanduser()))

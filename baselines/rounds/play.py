@@ -1,21 +1,24 @@
 """Playing episodes: observe, ask the policy, simulate, step after step, with several chunks under way.
 
-Which episodes are asked about together is fixed by their chunk, so no answer depends on how many workers there are,
-on which of them is quick, or on what was played before.
+A chunk fixes which episodes are asked about together. So no answer depends on the number of workers, on which of them
+is quick, or on what was played before.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
 
-from baselines.rounds.behaviour import Behaviour
-from baselines.rounds.chunk import Chunk
+from baselines.rounds.plan import BlockPlan, PolicyUse
+from baselines.rounds.work import Chunk
 from evaluator.engines import Engine, InfraError, Job, JobBatch, JobResult
 from evaluator.policy import PolicyFault
 from evaluator.rollout.ask import actions, ask
-from evaluator.rollout.backend import Backend
+from evaluator.rollout.backend import Backend, PolicyProcess
 from evaluator.rollout.episode import first_step, next_step
 from evaluator.run.plan import job_batches
 from evaluator.sim.spawn import collection_generator, draw_episode
@@ -23,7 +26,7 @@ from rema_data.errors import InfrastructureError, PolicyFailureError
 from rema_data.schema import Action, Episode, Observation, Placement, Scenario, Situation, Step
 from rema_data.store.block import BlockKey
 
-__all__ = ["BATCH", "Player", "draw_placements"]
+__all__ = ["BATCH", "BehaviourPolicies", "Player", "draw_placements"]
 
 BATCH = 50
 """Observations in one question to a policy."""
@@ -37,6 +40,56 @@ def draw_placements(seed: int, block: BlockKey, index: int) -> tuple[Placement, 
     return draw_episode(rng, block.task)
 
 
+class _Behaviour(NamedTuple):
+    """A running policy; its name and digest are recorded with every step that it plays."""
+
+    name: str
+    digest: str
+    process: PolicyProcess
+
+
+class BehaviourPolicies:
+    """The policies of some blocks, each in a process of its own, alive from ``start`` to ``close``.
+
+    Their output goes to files in ``logs``; ``digests`` has the digest of each.
+    """
+
+    def __init__(self, blocks: Sequence[BlockPlan], backend: Backend, logs: Path) -> None:
+        self._uses = {block.key: block.policies for block in blocks}
+        self._backend, self._logs = backend, logs
+        every = dict.fromkeys(use for block in blocks for use in block.policies)
+        self.digests = {use: backend.policy_digest(use.spec, use.checkpoint) for use in every}
+        self._running: dict[PolicyUse, _Behaviour] = {}
+        self._stack = ExitStack()
+
+    def start(self, blocks: Iterable[BlockKey]) -> None:
+        """Start every policy that some blocks need; raises SubmissionError at once where one cannot be loaded."""
+        for use in dict.fromkeys(use for block in blocks for use in self._uses[block]):
+            log = self._logs / f"policy-{use.spec.name}-{self.digests[use][:8]}.log"
+            process = self._backend.open_policy(use.spec, use.checkpoint, use.device, log, None)
+            self._running[use] = _Behaviour(use.spec.name, self.digests[use], self._stack.enter_context(process))
+
+    def of(self, block: BlockKey, step: int) -> _Behaviour:
+        """The policy that plays a step of a block."""
+        return self._running[self._uses[block][step]]
+
+    def close(self) -> None:
+        """Stop the policies."""
+        self._running.clear()
+        self._stack.close()
+
+
+@dataclass(slots=True, eq=False)
+class _Open:
+    """A chunk under way: by episode its scenario, its finished steps, and the situation that comes next."""
+
+    chunk: Chunk
+    scenarios: dict[int, Scenario]
+    steps: dict[int, list[Step]]
+    due: dict[int, Situation]
+    flying: int = 0  # outcomes of the present step that are still to come
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Asked:
     """A step whose action is known and whose outcome is not."""
@@ -46,47 +99,17 @@ class _Asked:
     situation: Situation
     observation: Observation
     action: int
-    behaviour: Behaviour
-
-
-class _Open:
-    """A chunk under way."""
-
-    def __init__(self, chunk: Chunk, scenarios: dict[int, Scenario]) -> None:
-        self.chunk = chunk
-        self.scenarios = scenarios
-        self.steps: dict[int, list[Step]] = {index: [] for index in scenarios}
-        # Situations of the next step.
-        self.due = {index: first_step(scenario, "end-to-end") for index, scenario in scenarios.items()}
-        self.flying = 0  # outcomes of the present step that are still to come
-
-    def episodes(self, seed: int) -> list[Episode]:
-        """What was played, in order."""
-        block = self.chunk.block
-        return [
-            Episode(block.task, block.round, block.split, index, seed, tuple(self.steps[index]))
-            for index in range(self.chunk.start, self.chunk.stop)
-        ]
+    behaviour: _Behaviour
 
 
 class Player:
     """Plays chunks with an engine.
 
-    Parameters
-    ----------
-    seed : int
-        Root seed of the plan.
-    backend : Backend
-    behaviour : callable
-        (block, step) to the policy that plays it.
-
-    Attributes
-    ----------
-    simulate_s : float
-        Seconds inside simulators, over all workers.
+    ``seed`` is the root seed of the plan; ``behaviour`` maps (block, step) to a policy; ``simulate_s`` counts the
+    seconds inside simulators, over all workers.
     """
 
-    def __init__(self, seed: int, backend: Backend, behaviour: Callable[[BlockKey, int], Behaviour]) -> None:
+    def __init__(self, seed: int, backend: Backend, behaviour: Callable[[BlockKey, int], _Behaviour]) -> None:
         self._seed, self._backend, self._behaviour = seed, backend, behaviour
         self._questions: deque[tuple[_Open, list[tuple[int, Situation]]]] = deque()
         self._ready: deque[JobBatch] = deque()
@@ -100,26 +123,21 @@ class Player:
     ) -> Iterator[tuple[Chunk, list[Episode]]]:
         """Play chunks and yield each as soon as it is done, in no fixed order.
 
-        Parameters
-        ----------
-        chunks : iterable of Chunk
-        engine : Engine
-            Left open.
-        advance : callable
-            Told of so many finished episodes more.
-
-        Raises
-        ------
-        PolicyFailureError
-            A policy gave no action for an episode.
-        InfrastructureError
-            Workers cannot be started, or one episode cost two of them.
+        The engine stays open; ``advance`` is called with the number of newly finished episodes. Raises
+        PolicyFailureError where a policy gave no action, InfrastructureError where two workers died on an episode.
         """
         for results in engine.map(self._job_batches(iter(chunks))):
             for result in results:
                 done = self._take(result, advance)
                 if done is not None:
-                    yield done.chunk, done.episodes(self._seed)
+                    block = done.chunk.block
+                    yield (
+                        done.chunk,
+                        [
+                            Episode(block.task, block.round, block.split, index, self._seed, tuple(done.steps[index]))
+                            for index in range(done.chunk.start, done.chunk.stop)
+                        ],
+                    )
 
     def _job_batches(self, chunks: Iterator[Chunk]) -> Iterator[JobBatch]:
         """Work for the engine whenever it asks; an empty batch to be asked again after a result."""
@@ -141,8 +159,9 @@ class Player:
             index: Scenario(task, split, index, draw_placements(self._seed, chunk.block, index))
             for index in range(chunk.start, chunk.stop)
         }
+        due = {index: first_step(scenario, "end-to-end") for index, scenario in scenarios.items()}
         self._open += 1
-        self._next_step(_Open(chunk, scenarios))
+        self._next_step(_Open(chunk, scenarios, {index: [] for index in scenarios}, due))
 
     def _next_step(self, opened: _Open) -> None:
         """Queue the questions about the next step of a chunk, in order of its episodes."""
@@ -167,14 +186,14 @@ class Player:
         self._ready.extend(job_batches(jobs))
 
     def _take(self, result: JobResult, advance: Callable[[int], None]) -> _Open | None:
-        """Record a result; the chunk, where it was its last one."""
+        """Record a result, and return its chunk where it was the last one of the chunk."""
         asked = self._flying.pop(result.key)
         opened, outcome = asked.open, result.outcome
         if isinstance(outcome, InfraError):
             raise _lost(asked, outcome)
         self.simulate_s += result.seconds
-        who = asked.behaviour
-        step = Step(asked.situation, asked.observation, Action(asked.action), outcome, who.name, who.digest)
+        played = asked.behaviour
+        step = Step(asked.situation, asked.observation, Action(asked.action), outcome, played.name, played.digest)
         opened.steps[asked.index].append(step)
         following = next_step(opened.scenarios[asked.index], asked.situation, outcome)
         if following is None:
@@ -191,27 +210,27 @@ class Player:
         return opened
 
 
-def _no_action(behaviour: Behaviour, chunk: Chunk, index: int, step: int, fault: PolicyFault) -> PolicyFailureError:
+def _where(chunk: Chunk, index: int, step: int) -> tuple[str, dict[str, Any]]:
+    facts = {"episode": index, "block": chunk.block.path, "step": step}
+    return f"step {step} of episode {index} of {chunk.block.path}", facts
+
+
+def _no_action(behaviour: _Behaviour, chunk: Chunk, index: int, step: int, fault: PolicyFault) -> PolicyFailureError:
+    where, facts = _where(chunk, index, step)
     return PolicyFailureError(
-        f"policy {behaviour.name} gave no action for step {step} of episode {index} of {chunk.block.path}: "
-        f"{fault.reason}: {fault.detail}",
-        hint="fix the policy: what it recorded so far is then of another policy, and has to be played again",
+        f"policy {behaviour.name} gave no action for {where}: {fault.reason}: {fault.detail}",
+        hint="fix the policy; what it recorded so far then belongs to another policy and has to be played again",
         policy=behaviour.name,
-        episode=index,
-        block=chunk.block.path,
-        step=step,
         reason=str(fault.reason),
+        **facts,
     )
 
 
 def _lost(asked: _Asked, error: InfraError) -> InfrastructureError:
-    chunk, step = asked.open.chunk, asked.situation.step
+    where, facts = _where(asked.open.chunk, asked.index, asked.situation.step)
     return InfrastructureError(
-        f"step {step} of episode {asked.index} of {chunk.block.path} was lost: its worker {error.reason} twice: "
-        f"{error.detail.strip().splitlines()[-1]}",
+        f"{where} was lost: its worker {error.reason} twice: {error.detail.strip().splitlines()[-1]}",
         hint="run the same command again: it resumes; --engine inline shows the whole error",
-        episode=asked.index,
-        block=chunk.block.path,
-        step=step,
         reason=error.reason,
+        **facts,
     )

@@ -29,18 +29,7 @@ __all__ = ["Stage", "publish", "recurse", "train_network"]
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """A step of the recursion.
-
-    Attributes
-    ----------
-    round : int
-    what : str
-        ``collect NAME`` or ``train FOLDER/NAME``.
-    already : bool
-        It was done before.
-    seconds : float
-        That this run spent on it.
-    """
+    """A step of the recursion, ``collect NAME`` or ``train FOLDER/NAME``, and the seconds that this run spent on it."""
 
     round: int
     what: str
@@ -58,16 +47,8 @@ def recurse(
 ) -> Iterator[Stage]:
     """Carry out a plan, from the first stage whose product is not there, and yield every stage when it is done.
 
-    Parameters
-    ----------
-    plan : RecursionPlan
-    releases : Path
-        Folder of releases; networks go to its ``checkpoints`` folder.
-    progress : Progress, optional
-    workers : int, optional
-        Simulation processes; every core by default.
-    device : str
-        Of the trainings.
+    Networks go to the folder ``checkpoints`` in ``releases``. ``workers`` is the number of simulation processes, by
+    default one a core; ``device`` is that of the trainings.
 
     Raises
     ------
@@ -93,21 +74,9 @@ def recurse(
 def train_network(
     plan: RecursionPlan, releases: Path, place: str, *, progress: Progress | None = None, device: str = "cpu"
 ) -> Stage:
-    """Train one network of a plan alone, so that several machines, or processes, share the work of a round.
+    """Train the network ``FOLDER/NAME`` of a plan alone, so that several machines or processes share a round.
 
-    Parameters
-    ----------
-    plan, releases, progress, device
-        As in ``recurse``.
-    place : str
-        ``FOLDER/NAME`` of the network.
-
-    Raises
-    ------
-    InputError
-        The plan has no such network.
-    MissingFileError
-        Its round is not sealed yet.
+    Raises InputError where the plan has no such network, MissingFileError where its round is not sealed yet.
     """
     networks = {f"{one.folder}/{one.name}": (entry, one) for entry in plan.rounds for one in entry.networks}
     if place not in networks:
@@ -125,12 +94,7 @@ def train_network(
 def publish(plan: RecursionPlan, releases: Path) -> None:
     """Enter the last release, and the networks of the plan's policies, in the manifests.
 
-    Raises
-    ------
-    MissingFileError
-        A stage is not done yet.
-    InputError
-        A release of that name is published with other content.
+    Raises MissingFileError where a stage is not done yet, InputError where the name is published with other content.
     """
     path = releases / plan.name / MANIFEST
     networks = [network for entry in plan.rounds for network in entry.networks]
@@ -169,15 +133,6 @@ class _Recursion:
             if not place.startswith(f"{self.plan.name}/"):
                 networks_folder(place, self.releases)
 
-    def collect(self, entry: RoundPlan) -> Stage:
-        started, already = time.perf_counter(), self.sealed(entry) is not None
-        if not already:
-            if entry.played_by:  # noted before the first episode: a kill between the seal and a note would lose it
-                note(self.networks / PLAYERS, entry.release, players_of(entry, self.releases))
-            planned = self.plan.collection(entry.number, self.releases)
-            collect(planned, self.releases, workers=self.workers, progress=self.progress)
-        return self.finished(entry, f"collect {entry.release}", already, started)
-
     def sealed(self, entry: RoundPlan) -> ReleaseFolder | None:
         """The release of a round, where it is there and holds what the plan says."""
         path = self.releases / entry.release / MANIFEST
@@ -188,16 +143,26 @@ class _Recursion:
             check_sealed(self.plan, entry, release)
         return release
 
+    def collect(self, entry: RoundPlan) -> Stage:
+        started = time.perf_counter()
+        if self.sealed(entry) is not None:
+            return self.stage(entry, f"collect {entry.release}", started, already=True)
+        if entry.played_by:  # noted before the first episode: a kill between the seal and a note would lose it
+            note(self.networks / PLAYERS, entry.release, players_of(entry, self.releases))
+        planned = self.plan.collection(entry.number, self.releases)
+        collect(planned, self.releases, workers=self.workers, progress=self.progress)
+        return self.stage(entry, f"collect {entry.release}", started)
+
     def train(self, entry: RoundPlan, network: NetworkPlan) -> Stage:
         started, release = time.perf_counter(), load(self.releases / entry.release)
-        folder = self.networks / network.folder
-        already = trained(release, network.config, folder, network.name) is not None
+        where = network.config, self.networks / network.folder, network.name
+        already = trained(release, *where) is not None
         if not already:
-            train(release, network.config, folder, network.name, device=self.device, progress=self.progress)
-        return self.finished(entry, f"train {network.folder}/{network.name}", already, started)
+            train(release, *where, device=self.device, progress=self.progress)
+        return self.stage(entry, f"train {network.folder}/{network.name}", started, already)
 
-    def finished(self, entry: RoundPlan, what: str, already: bool, started: float) -> Stage:
-        """Note what the run that finished a stage spent on it."""
+    def stage(self, entry: RoundPlan, what: str, started: float, already: bool = False) -> Stage:
+        """A finished stage; the run that finished it notes how long it took."""
         stage = Stage(entry.number, what, already, time.perf_counter() - started)
         if not already:
             note(self.networks / STAGES, what, {"round": entry.number, "seconds": round(stage.seconds, 1)})

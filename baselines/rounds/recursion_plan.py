@@ -14,7 +14,7 @@
 
     [[rounds.networks]]                         # trained on rounds 1 to 1, when they are sealed
     network = "round-1/grasp"                   # releases/checkpoints/my-recursion/round-1/grasp.safetensors
-    primitive = "grasp"                         # and whatever else a training has: baselines.train.config
+    primitive = "grasp"                         # and further fields of a training: baselines.train.config
     tasks = ["grasp"]
     updates = 160000
 
@@ -53,14 +53,7 @@ _PLACE = 'write where it is stored, below the networks of this plan: network = "
 
 @dataclass(frozen=True, slots=True)
 class NetworkPlan:
-    """A network to be trained.
-
-    Attributes
-    ----------
-    folder, name : str
-        ``checkpoints/PLAN/FOLDER/NAME.safetensors``.
-    config : TrainingConfig
-    """
+    """A network to be trained: ``checkpoints/PLAN/FOLDER/NAME.safetensors``."""
 
     folder: str
     name: str
@@ -69,12 +62,10 @@ class NetworkPlan:
 
 @dataclass(frozen=True, slots=True)
 class RoundPlan:
-    """A round.
+    """A round; ``number`` counts from 1.
 
     Attributes
     ----------
-    number : int
-        From 1.
     release : str
         Name of the release that holds the rounds up to this one.
     collection : dict or None
@@ -100,11 +91,8 @@ class RecursionPlan:
 
     Attributes
     ----------
-    path : Path
-        Of the file.
     about : dict
         The texts and the seed, as a collection plan has them.
-    rounds : tuple of RoundPlan
     policies : dict of str to str
         Built-in policies whose networks are trained here, with the folder of each.
     """
@@ -120,13 +108,7 @@ class RecursionPlan:
         return str(self.about["name"])
 
     def collection(self, number: int, releases: Path) -> CollectionPlan:
-        """Collection plan of a round: its networks have to be there by now.
-
-        Raises
-        ------
-        MissingFileError, InputError
-            As for any collection plan.
-        """
+        """Collection plan of a round, whose networks have to be there; errors are those of ``load_plan``."""
         content = self._content(number)
         if number > 1:
             content["parent"] = str((releases / self.rounds[number - 2].release).resolve())
@@ -135,13 +117,7 @@ class RecursionPlan:
         return read_plan(content, self.path, lambda place: networks_folder(place, releases).resolve())
 
     def outline(self, number: int) -> CollectionPlan:
-        """The same while its networks and the rounds before it are not there yet.
-
-        Raises
-        ------
-        MissingFileError, InputError
-            As for any collection plan.
-        """
+        """The same while its networks and the rounds before it are not there yet."""
         return read_plan(self._content(number) | {"parent": self.rounds[0].release}, self.path, Path)
 
     def _content(self, number: int) -> dict[str, Any]:
@@ -158,9 +134,7 @@ class _Recursion(About):
 
 
 @record
-class _Trained:
-    """What belongs to the networks of a round."""
-
+class _Networks:
     networks: list[dict[str, Any]] = field(default_factory=list)
 
 
@@ -170,13 +144,7 @@ class _Place:
 
 
 def networks_folder(place: str, releases: Path) -> Path:
-    """Where the networks lie that a plan names as players.
-
-    Raises
-    ------
-    MissingFileError
-        They are not there.
-    """
+    """Where the networks lie that play a round; MissingFileError where they are not there."""
     folder = releases / CHECKPOINTS / place
     if not folder.exists():
         raise MissingFileError(
@@ -242,9 +210,9 @@ def _networks(path: Path, where: str, table: dict[str, Any], used: set[str]) -> 
     """The networks of a round: where each is written, and how it is trained."""
     given = {key: value for key, value in table.items() if key == "networks"}
     found: list[NetworkPlan] = []
-    for number, values in enumerate(validated(_Trained, given, str(path), at=where, hint=_HINT).networks, 1):
+    for number, values in enumerate(validated(_Networks, given, str(path), at=where, hint=_HINT).networks, 1):
         at = f"{where}.networks[{number}]"
-        place = {key: values.pop(key) for key in ("network",) if key in values}
+        place = {"network": values.pop("network")} if "network" in values else {}
         folder, _, name = validated(_Place, place, str(path), at=at, hint=_PLACE).network.partition("/")
         # A folder of networks belongs to one round: those of an earlier one may have played, and stay what they were.
         if folder in used or (folder, name) in {(one.folder, one.name) for one in found}:
@@ -268,7 +236,7 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def _check_data(plan: RecursionPlan) -> None:
-    """Every complaint about the data before hours of work begin; what is reused is not known yet."""
+    """Check before hours of work that every network has data; the data of reused rounds are not known yet."""
     collected: set[tuple[str, str]] = set()
     reused = any(entry.collection is None for entry in plan.rounds)
     for entry in plan.rounds:
@@ -277,8 +245,7 @@ def _check_data(plan: RecursionPlan) -> None:
         for network in () if reused else entry.networks:
             for task, split in product(network.config.tasks, SPLITS):
                 if (task, split) not in collected:
-                    what = (
-                        f"{network.folder}/{network.name} learns {task}, of which no round so far has episodes in the"
-                    )
+                    place = f"{network.folder}/{network.name}"
+                    what = f"{place} learns {task}, of which no round so far has episodes in the split {split}"
                     hint = "collect them, or leave the task out"
-                    raise wrong(plan.path, f"rounds[{entry.number}].networks:", f"{what} split {split}", hint)
+                    raise wrong(plan.path, f"rounds[{entry.number}].networks:", what, hint)

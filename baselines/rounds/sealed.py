@@ -32,13 +32,7 @@ STAGES, PLAYERS = "stages.json", "players.json"
 
 
 def read_notes(path: Path) -> dict[str, Any]:
-    """What a file of notes holds; nothing where it is not there.
-
-    Raises
-    ------
-    IntegrityError
-        It is not a JSON object.
-    """
+    """The content of a file of notes, empty without the file; IntegrityError where it is not a JSON object."""
     hint = "restore it, or delete it: its notes are then lost"
     with storage_errors(path):
         text = path.read_text(encoding="utf-8") if path.is_file() else "{}"
@@ -49,15 +43,7 @@ def read_notes(path: Path) -> dict[str, Any]:
 
 
 def note(path: Path, key: str, value: Any) -> None:
-    """Enter a note, or replace it, while other processes may write into the file too.
-
-    Raises
-    ------
-    IntegrityError
-        The file is not a JSON object.
-    StorageError
-        It may not be written.
-    """
+    """Add or replace a note, while other processes may write into the file, too; errors as in ``read_notes``."""
     with storage_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with FileLock(path.with_name(f".{path.name}.lock")):  # held for milliseconds: wait for it
@@ -65,72 +51,50 @@ def note(path: Path, key: str, value: Any) -> None:
 
 
 def players_of(entry: RoundPlan, releases: Path) -> dict[str, str]:
-    """The networks that a round names as its players, each with the sha256 of its weights.
-
-    Raises
-    ------
-    MissingFileError
-        One is not there.
-    """
-    found = {}
-    for place in entry.played_by:
-        for name, path in networks_in(networks_folder(place, releases)).items():
-            found[f"{place}/{name}"] = hashlib.sha256(path.read_bytes()).hexdigest()
-    return found
+    """The networks that play a round, each with the sha256 of its weights; MissingFileError where one is absent."""
+    return {
+        f"{place}/{name}": hashlib.sha256(path.read_bytes()).hexdigest()
+        for place in entry.played_by
+        for name, path in networks_in(networks_folder(place, releases)).items()
+    }
 
 
 def check_sealed(plan: RecursionPlan, entry: RoundPlan, release: ReleaseFolder) -> None:
     """Raise where a sealed round is not the one that the plan asks for.
 
-    Compared are its blocks, their episodes, the names of the policies of every step, the seed that the episodes
+    Compared are the blocks, their episodes, the names of the policies of every step, the seed that the episodes
     record, and the networks that played, where the process that collected noted them. The code of the policies and the
-    simulator are not: both may have changed since, and the sealed episodes are no worse for it.
+    simulator are not compared: the sealed episodes stay valid when these change.
 
-    Parameters
-    ----------
-    plan : RecursionPlan
-    entry : RoundPlan
-        A round that the plan collects itself.
-    release : ReleaseFolder
-
-    Raises
-    ------
-    RunMismatchError
-    MissingFileError
-        A network that plays the round is not there.
-    IntegrityError
-        A table of the release is damaged.
+    Raises RunMismatchError; MissingFileError without a network that plays the round; IntegrityError for damaged tables.
     """
     planned = plan.collection(entry.number, release.root)
+    if difference := _difference(planned, plan, entry, release):
+        raise RunMismatchError(
+            f"{release.path} {difference} round {entry.number} of {plan.path}",
+            hint="undo the change, give the plan another name, or choose another folder with --output",
+            path=str(release.path),
+        )
+
+
+def _difference(planned: CollectionPlan, plan: RecursionPlan, entry: RoundPlan, release: ReleaseFolder) -> str | None:
     blocks = {block.key: block for block in release.manifest.blocks if block.round == entry.number}
     if len(blocks) != len(planned.blocks) or not all(_fits(block, blocks.get(block.key)) for block in planned.blocks):
-        raise _other(plan, entry, release, "holds other episodes than")
-    _check_seed(plan, entry, release, planned)
+        return "holds other episodes than"
+    for block in blocks.values():
+        reader = release.block(block)
+        if not (reader.folder / EPISODES).is_file():  # a block that was not fetched
+            continue
+        for seed in reader.episodes().column("seed").unique().to_pylist():
+            if seed != planned.seed:
+                return f"was drawn with the seed {seed}, not {planned.seed}, so it is not"
     recorded = read_notes(release.root / CHECKPOINTS / plan.name / PLAYERS).get(entry.release)
     if recorded is not None:
         present = players_of(entry, release.root)
         changed = sorted(name for name in {*recorded, *present} if recorded.get(name) != present.get(name))
         if changed:
-            raise _other(plan, entry, release, f"was played by other networks ({', '.join(changed)}) than")
-
-
-def _check_seed(plan: RecursionPlan, entry: RoundPlan, release: ReleaseFolder, planned: CollectionPlan) -> None:
-    for block in release.manifest.blocks:
-        reader = release.block(block)
-        if block.round != entry.number or not (reader.folder / EPISODES).is_file():  # a part that was not fetched
-            continue
-        for seed in reader.episodes().column("seed").unique().to_pylist():
-            if seed != planned.seed:
-                what = f"was drawn with the seed {seed}, not {planned.seed}, so it is not"
-                raise _other(plan, entry, release, what)
-
-
-def _other(plan: RecursionPlan, entry: RoundPlan, release: ReleaseFolder, what: str) -> RunMismatchError:
-    return RunMismatchError(
-        f"{release.path} {what} round {entry.number} of {plan.path}",
-        hint="undo the change, give the plan another name, or choose another folder with --output",
-        path=str(release.path),
-    )
+            return f"was played by other networks ({', '.join(changed)}) than"
+    return None
 
 
 def _fits(planned: BlockPlan, block: BlockEntry | None) -> bool:

@@ -38,7 +38,7 @@ class TrainingConfig:
     balance : {"exact", "average"}
         In every minibatch, or on average as in the paper.
     on_empty : {"raise", "renormalise"}
-        What to do where a skill has no success, no failure or no step at all: refuse, or go on with what there is.
+        Where a skill has no success, no failure or no step at all: refuse, or go on with the rest.
     rotate, mirror : bool
         Augmentations beside the translation, each where it is valid: rotation of grasps, mirror images of pushes.
     seed : int

@@ -107,7 +107,7 @@ def open_data(release: Release, config: TrainingConfig) -> TrainingData:
 
 
 def _require_labels(release: str, purpose: str, steps: StepDataset, skills: Iterable[str]) -> None:
-    """Raise where there is nothing to tell apart: in all steps, or in those of one of the skills."""
+    """Raise where there are no successes or no failures: in all steps, or in those of one of the skills."""
     table = steps.table
     for name in (None, *skills):
         labels = table["success"] if name is None else table["success"][table["skill"] == name]
@@ -133,21 +133,13 @@ def _balanced(val: StepDataset, limit: int) -> npt.NDArray[np.int64]:
 
 
 def refuse_test_scenes(release: Release, tasks: tuple[str, ...]) -> None:
-    """Raise where a scene of the release is also in a frozen scenario list.
-
-    Raises
-    ------
-    IntegrityError
-        One is; or a list cannot be read.
-    MissingFileError
-        There are no lists, so nobody can tell.
-    """
+    """Raise an IntegrityError where a frozen list has a scene of the release, MissingFileError without lists."""
     frozen: dict[bytes, str] = {}
     for path in frozen_lists(manifests_dir()):
         frozen.update(read_frozen(path))
     if not frozen:
         raise MissingFileError(
-            f"there are no scenario lists in {manifests_dir()}: nobody can tell whether this data has scenes of them",
+            f"there are no scenario lists in {manifests_dir()} to check this data against",
             hint=restore(manifests_dir()),
             path=str(manifests_dir()),
         )
@@ -157,8 +149,8 @@ def refuse_test_scenes(release: Release, tasks: tuple[str, ...]) -> None:
         for row, key in enumerate(scene_keys(release.folder.block(block).steps(), "target")):
             if key in frozen:
                 raise IntegrityError(
-                    f"step {row} of {block.key.path} in {release.name} is the scenario {frozen[key]}: nothing that is "
-                    "tested may be trained on",
+                    f"step {row} of {block.key.path} in {release.name} is the scenario {frozen[key]}, which is kept "
+                    "for evaluation and may not be trained on",
                     hint=f"do not use this release; look at all of it: {release.folder.repair.verify}",
                     scenario=frozen[key],
                 )

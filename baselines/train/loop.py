@@ -34,7 +34,7 @@ _MOMENTS = ("exp_avg", "exp_avg_sq")
 _BETAS = (0.9, 0.95)
 """Of Adam, as AdaGrasp has them."""
 _CODE = ("baselines.tae", "baselines.train", "rema_data")
-"""What decides the weights: a training that was stopped is not taken up by other code."""
+"""The code that decides the weights: other code does not resume a training."""
 
 
 def train(
@@ -52,24 +52,19 @@ def train(
 
     Parameters
     ----------
-    release : Release
-    config : TrainingConfig
     folder : Path
         Gets ``NAME.safetensors``, ``NAME.json`` and ``NAME.metrics.jsonl``; meanwhile ``.NAME.training``.
-    name : str
-    device : str
     deterministic : bool
         Refuse operations whose result may differ between two runs on one device.
     progress : Progress, optional
-        Told of every update, and in words of the loss, every validation, and a training that is resumed.
+        Told of every update, the loss, every validation, and of resuming.
     save_every : int, optional
         Updates between two saved states; those of a validation by default.
 
     Raises
     ------
     InputError, MissingFileError, IntegrityError
-        See ``open_data``; or another process is at the same training, the device is not there, or no network can have
-        the name.
+        See ``open_data``; or another process runs this training, the device is not there, or the name is not allowed.
     RunMismatchError
         The folder holds another training under the name.
     DivergedError
@@ -171,7 +166,7 @@ class _Training:
         return 0.5 * (1 + math.cos(math.pi * self.update / self.config.updates))
 
     def check(self) -> None:
-        """Raise where a loss, or a weight that the last step left, is not finite: neither is saved or validated."""
+        """Raise where a loss or a weight is not finite, before it is saved or validated."""
         wrong = (~torch.isfinite(torch.stack(self.losses))).nonzero()
         if len(wrong):
             update = self.update - len(self.losses) + int(wrong[0]) + 1
@@ -195,7 +190,7 @@ class _Training:
         )
 
     def validate(self) -> dict[str, Any]:
-        """Measures of the present weights, which become the best ones or do not."""
+        """Measures of the present weights, which may become the best ones."""
         try:
             measures = validate(self.network, self.data.validation, self.device)
         except DivergedError as error:
@@ -237,14 +232,14 @@ class _Training:
         state = read_state(self.work, self.identity)
         if state is None:
             return
-        part: dict[str, dict[str, Tensor]] = {prefix: {} for prefix in ("model", *_MOMENTS, "best")}
+        parts: dict[str, dict[str, Tensor]] = {prefix: {} for prefix in ("model", *_MOMENTS, "best")}
         for key, tensor in state.tensors.items():
             prefix, _, name = key.partition("/")
             if name:
-                part[prefix][name] = tensor
-        self.network.load_state_dict(part["model"])
+                parts[prefix][name] = tensor
+        self.network.load_state_dict(parts["model"])
         for name, parameter in self.network.named_parameters():
-            moments = {key: part[key][name].to(parameter.device) for key in _MOMENTS}
+            moments = {key: parts[key][name].to(parameter.device) for key in _MOMENTS}
             if parameter.ndim == 4:
                 moments = {key: value.contiguous(memory_format=torch.channels_last) for key, value in moments.items()}
             self.optimiser.state[parameter] = {"step": torch.tensor(float(state.update)), **moments}
@@ -252,7 +247,7 @@ class _Training:
         self.data.sampler.load_state_dict(state.facts["sampler"])
         self.losses = list(torch.tensor(state.facts["losses"], device=self.device))
         self.update, self.history, self.best = state.update, state.facts["history"], state.facts["best"]
-        self.best_weights = part["best"]
+        self.best_weights = parts["best"]
         self.threads |= set(state.facts["threads"])
         self.report.resumed(self.update, sorted(self.threads))
 

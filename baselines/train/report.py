@@ -16,16 +16,7 @@ _READ_EVERY = 20
 
 
 class TrainingReport:
-    """Tells a ``Progress`` about one training.
-
-    Parameters
-    ----------
-    progress : Progress
-    what : str
-        Name of the training.
-    updates : int
-        How many it has.
-    """
+    """Reports the training ``what``, of so many updates, to a ``Progress``."""
 
     def __init__(self, progress: Progress, what: str, updates: int) -> None:
         self._progress, self._what, self._updates = progress, what, updates

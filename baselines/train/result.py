@@ -1,4 +1,4 @@
-"""What comes of a training: a network with its card, or the best weights of one that diverged."""
+"""The result of a training: a network with its card, or the best weights of one that diverged."""
 
 from __future__ import annotations
 
@@ -31,16 +31,7 @@ class DivergedError(RemaError, ArithmeticError):
 
 @dataclass(frozen=True, slots=True)
 class Trained:
-    """What came of a training.
-
-    Attributes
-    ----------
-    folder : Path
-    name : str
-    checkpoint : Checkpoint
-    already : bool
-        It was there before.
-    """
+    """A trained network, and whether it was there before."""
 
     folder: Path
     name: str
@@ -55,9 +46,7 @@ def check_network_name(name: str) -> None:
 
 
 def trained(release: Release, config: TrainingConfig, folder: Path, name: str) -> Trained | None:
-    """The finished training of this configuration and data in ``folder``, if it is there.
-
-    What a kill after its last file left of its state is removed.
+    """The finished training of this configuration and data in ``folder``, if it is there; its state is removed.
 
     Raises
     ------

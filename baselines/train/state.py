@@ -12,9 +12,8 @@ import os
 import socket
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from filelock import FileLock, Timeout
 from safetensors.torch import load, save
@@ -27,14 +26,11 @@ from rema_data.validation import plain, record, validated
 __all__ = ["TrainingState", "locked", "read_state", "state_path", "write_state"]
 
 
-@dataclass(frozen=True, slots=True)
-class TrainingState:
-    """Where a training stands.
+class TrainingState(NamedTuple):
+    """A training after ``update`` updates.
 
     Attributes
     ----------
-    update : int
-        Updates that are done.
     tensors : dict of str to Tensor
         ``model/``, ``exp_avg/``, ``exp_avg_sq/``, ``best/`` and ``generator``.
     facts : dict
@@ -63,7 +59,7 @@ class _Card:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Work on a training alone; its folder is created where it is missing.
+    """Lock the folder of a training, which is created where it is missing.
 
     Raises
     ------
@@ -78,9 +74,9 @@ def locked(folder: Path) -> Iterator[None]:
         try:
             lock.acquire()
         except Timeout as error:
-            who = owner.read_text(encoding="utf-8") if owner.is_file() else "another process"
+            user = owner.read_text(encoding="utf-8") if owner.is_file() else "another process"
             raise InputError(
-                f"{who} is working on this training: {folder}",
+                f"{user} is working on this training: {folder}",
                 hint="wait for it, or choose another --output or --name",
                 path=str(folder),
             ) from error
@@ -92,13 +88,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def write_state(folder: Path, identity: Mapping[str, Any], state: TrainingState) -> None:
-    """Make a state durable, then remove older ones.
-
-    Raises
-    ------
-    StorageError
-        The disk is full; the state before this one is still there.
-    """
+    """Make a state durable, then remove older ones; after a StorageError the state before this one is still there."""
     data = save({key: tensor.contiguous() for key, tensor in state.tensors.items()})
     card = _Card(dict(identity), state.update, hashlib.sha256(data).hexdigest(), state.facts)
     stem = f"state-{state.update:08d}"
@@ -111,13 +101,7 @@ def write_state(folder: Path, identity: Mapping[str, Any], state: TrainingState)
 
 
 def read_state(folder: Path, identity: Mapping[str, Any]) -> TrainingState | None:
-    """The newest whole state in a folder, or None.
-
-    Raises
-    ------
-    RunMismatchError
-        It belongs to another training.
-    """
+    """The newest whole state in a folder, or None; RunMismatchError where it belongs to another training."""
     for path in sorted(folder.glob("state-*.json"), reverse=True):
         try:
             card = validated(_Card, json.loads(path.read_text(encoding="utf-8")), str(path))

@@ -1,4 +1,4 @@
-"""What a network says of steps that it was not trained on."""
+"""Measures of a network on steps that it was not trained on."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def validate(network: TaeNetwork, data: StepDataset, device: torch.device) -> di
     answers = torch.cat(scores).double()
     wrong = int((~torch.isfinite(answers)).sum())
     if wrong:
-        raise DivergedError(f"what the network says of {wrong} of {len(answers)} validation steps is not a number")
+        raise DivergedError(f"the answers to {wrong} of {len(answers)} validation steps are not numbers")
     return score(answers.numpy(), data.rows.success, data.table["skill"].astype(str).to_numpy())
 
 

@@ -1,4 +1,4 @@
-"""Which scenario an episode is about: a new one from the training domain, or a frozen one of a named list."""
+"""The scenario of an episode: a new one from the training domain, or a frozen one of a list."""
 
 from __future__ import annotations
 
@@ -33,21 +33,11 @@ class Start(NamedTuple):
 
 
 class Draws:
-    """Scenarios of a task.
+    """Scenarios of a task: drawn from a domain, or chosen by name.
 
-    Parameters
-    ----------
-    task : str
-    domain : {"train", "test", "val"}
-        Where scenarios come from that are not asked for by name. ``train`` is endless: objects from the generator of
-        the episode and, where the last step is played alone, tools as the reference picks them; it meets no frozen
-        list. The frozen lists are drawn from with replacement.
-    protocol : {"conditional", "end-to-end"}
-
-    Raises
-    ------
-    InputError
-        There is no such domain.
+    The domain ``train`` is endless and shares nothing with the frozen lists: objects come from the generator of the
+    episode, and where only the last step is played, tools as the reference policy picks them. From the frozen lists,
+    ``test`` and ``val``, scenarios are drawn with replacement.
     """
 
     def __init__(self, task: str, domain: str, protocol: str) -> None:
@@ -58,29 +48,19 @@ class Draws:
         self._lists: dict[str, ScenarioList] = {}
 
     def draw(self, rng: np.random.Generator, simulator: Simulator) -> Start:
-        """A scenario of the domain.
-
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-            Of the environment.
-        simulator : Simulator
-            Picks the tools of a new scenario.
-        """
+        """A scenario of the domain; the simulator picks the tools of a new one."""
         if self._domain != TRAIN:
-            index = int(rng.choice(self._playable))
-            return self._frozen(self._domain, index)
+            return self._frozen(self._domain, int(rng.choice(self._playable)))
         if self._plan.end_to_end:
             return Start("", Scenario(self._task, TRAIN, 0, draw_episode(rng, self._task)))
-        ready = prepare(simulator, self._task, rng)
-        return Start("", Scenario(self._task, TRAIN, 0, ready.placements, ready.grips, ready.pinch))
+        return Start("", prepare(simulator, self._task, rng).scenario(self._task, TRAIN))
 
-    def named(self, wanted: Any) -> Start:
-        """The frozen scenario that a user asks for.
+    def named(self, name: Any) -> Start:
+        """The frozen scenario of a name.
 
         Parameters
         ----------
-        wanted : int or str
+        name : int or str
             A position in the list of the domain (of ``val`` where the domain is ``train``), or a scenario's name such
             as ``v1/grasp/test/00042``.
 
@@ -89,16 +69,16 @@ class Draws:
         InputError
             There is no such scenario, it is of another task, or it has no tools in hand for the last step.
         """
-        if not isinstance(wanted, str):
-            return self._frozen("val" if self._domain == TRAIN else self._domain, int(wanted))
-        parts = _NAME.fullmatch(wanted)
-        if parts is None or parts["task"] != self._task:
+        if not isinstance(name, str):
+            return self._frozen("val" if self._domain == TRAIN else self._domain, int(name))
+        match = _NAME.fullmatch(name)
+        if match is None or match["task"] != self._task:
             raise InputError(
-                f"{wanted!r} is not a scenario of {self._task}",
+                f"{name!r} is not a scenario of {self._task}",
                 hint=f"name one like {scenario_id('v1', Scenario(self._task, 'val', 42, ()))}",
-                scenario=wanted,
+                scenario=name,
             )
-        return self._frozen(parts["split"], int(parts["index"]), parts["version"])
+        return self._frozen(match["split"], int(match["index"]), match["version"])
 
     @cached_property
     def _playable(self) -> list[int]:

@@ -55,8 +55,8 @@ class TaskEnv(gymnasium.Env[dict[str, Any], np.int64]):
     ``policy_error``, as in an evaluation. The reward is 1 when the last step succeeds and 0 otherwise; the episode ends
     with its last or its first failed step, and its last observation stays what it was.
 
-    After a step, and not before, ``info`` says what came of it: ``outcome`` (``success`` or a failure label),
-    ``is_success`` (of the task) and ``evidence``. ``scenario`` names a frozen scenario and is empty for a new one.
+    After a step, ``info`` has its ``outcome`` (``success`` or a failure label), ``is_success`` (of the task) and
+    ``evidence``. ``scenario`` names a frozen scenario and is empty for a new one.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 1}  # noqa: RUF012 - as its base says
@@ -119,23 +119,15 @@ class TaskEnv(gymnasium.Env[dict[str, Any], np.int64]):
         options = options or {}
         if unknown := sorted(set(options) - _OPTIONS):
             raise InputError(f"unknown option {unknown[0]!r}", hint=f"known: {', '.join(_OPTIONS)}")
-        wanted = options.get("scenario")
-        if wanted is None:
-            self._name, scenario = self._draws.draw(self.np_random, self._simulator)
-        else:
-            self._name, scenario = self._draws.named(wanted)
-        self._scenario = scenario
-        self._situation = first_step(scenario, self._protocol)
+        name = options.get("scenario")
+        start = self._draws.draw(self.np_random, self._simulator) if name is None else self._draws.named(name)
+        self._name, self._scenario = start
+        self._situation = first_step(start.scenario, self._protocol)
         self._action, self._ended = None, False
         return self._observation(self._situation), self._info(self._situation)
 
     def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Carry out one primitive.
-
-        Parameters
-        ----------
-        action : int
-            Grid index.
+        """Carry out one primitive, a grid index.
 
         Raises
         ------

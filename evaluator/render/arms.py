@@ -16,14 +16,7 @@ _ORANGE_LINKS = (0, 3, 5)
 
 
 def dressed_urdf(meshes: str, parameters: WorldParameters = WORLD) -> str:
-    """URDF text of one arm that can be photographed.
-
-    Parameters
-    ----------
-    meshes : str
-        pybullet_data folder.
-    parameters : WorldParameters
-    """
+    """URDF text of one arm that can be photographed; ``meshes`` is the folder of pybullet_data."""
     robot = ElementTree.fromstring(robots.urdf(parameters))
     for number, link in enumerate(robot.findall("link")):
         if number < 8:  # the base and the seven links of the arm; then the fingers

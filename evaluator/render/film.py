@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any, Self
 
 from evaluator.render.studio import Marker, Shot, shot_of_stage, shot_of_world
@@ -32,15 +31,10 @@ _SQUARE = (0.66, 0.62, 0.56, 1.0)
 
 @dataclass(frozen=True, slots=True)
 class Take:
-    """A step that was carried out.
+    """A step that was carried out; ``action`` is a grid index.
 
     Attributes
     ----------
-    situation : Situation
-    action : int
-        Grid index.
-    outcome : StepOutcome
-        Of this time.
     before : Shot
         Hands above the place of the action.
     shots : sequence of Shot
@@ -69,25 +63,16 @@ class FilmMaker:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._simulator.close()
         self._slow.close()
 
     def play(
         self, scenario: Scenario, protocol: str, choose: Callable[[Situation], int], until: int | None = None
     ) -> Take:
-        """The step at which an episode ends.
+        """The step at which an episode ends, or the step ``until`` where that comes first.
 
-        Parameters
-        ----------
-        scenario : Scenario
-        protocol : {"conditional", "end-to-end"}
-        choose : callable
-            Situation to grid index.
-        until : int, optional
-            Go no further than this step, even if it succeeds here.
+        ``choose`` maps a situation to a grid index.
         """
         for take in walk(scenario, protocol, lambda situation: self.take(situation, choose(situation))):
             if take.situation.step == until:
@@ -179,13 +164,7 @@ def markers(situation: Situation, action: int) -> list[Marker]:
 
 
 def agreement(row: Mapping[str, Any], take: Take) -> str:
-    """How an episode that was played again compares with its record.
-
-    Parameters
-    ----------
-    row : mapping
-        Of the table of results.
-    take : Take
+    """How a replayed episode compares with its row in the table of results.
 
     Returns
     -------

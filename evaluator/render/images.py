@@ -1,4 +1,4 @@
-"""Pictures as text for a page: photographs, short animations, and maps, each a ``data:`` address.
+"""Pictures as text for a page: photographs, short animations, and maps, each a ``data:`` URL.
 
 Needs pillow and matplotlib, which belong to the extra ``report``.
 """
@@ -9,6 +9,7 @@ import base64
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -43,7 +44,7 @@ _RING = ((9, 4, (0, 0, 0)), (8, 2, (255, 255, 255)))
 
 @dataclass(frozen=True, slots=True)
 class Photographs:
-    """A take in pictures, as ``data:`` addresses; ``after`` and ``film`` are None where no arm moved."""
+    """A take in pictures, as ``data:`` URLs; ``after`` and ``film`` are None where no arm moved."""
 
     before: str
     after: str | None
@@ -53,10 +54,10 @@ class Photographs:
 def photograph(studio: Studio, take: Take) -> Photographs:
     """Before, after, and a short animation between them."""
     shown = markers(take.situation, take.action)
-    before = _still(studio.picture(take.before, shown, PHOTO, CLOSE_UP))
+    before = _webp(studio.picture(take.before, shown, PHOTO, CLOSE_UP))
     if not take.shots:
         return Photographs(before, None, None)
-    after = _still(studio.picture(take.after, shown, PHOTO, CLOSE_UP))
+    after = _webp(studio.picture(take.after, shown, PHOTO, CLOSE_UP))
     count = min(FRAMES, len(take.shots))
     chosen = np.linspace(0, len(take.shots) - 1, count).round().astype(int)
     frames = [studio.picture(take.shots[number], shown, FILM, CLOSE_UP) for number in chosen]
@@ -65,21 +66,14 @@ def photograph(studio: Studio, take: Take) -> Photographs:
 
 
 def draw_action(situation: Situation, action: int) -> str:
-    """The scene map with the action and what acts, 256 pixels wide, as a ``data:`` address.
-
-    Parameters
-    ----------
-    situation : Situation
-    action : int
-        Grid index.
-    """
+    """The scene map with an action (a grid index) and what acts, 256 pixels wide, as a ``data:`` URL."""
     way_m = kind_of(situation).reach_shifts(WORLD)[-1]
     picture = scene_map(observe(situation), Action(action).pose, way_m, pixels=MAP_PIXELS)
-    return _address("image/png", to_png(picture.quantize(64, dither=Image.Dither.NONE)))
+    return _url("image/png", to_png(picture.quantize(64, dither=Image.Dither.NONE)))
 
 
 def draw_scores(best: npt.NDArray[np.float32], action: int) -> str:
-    """A map of scores as colours from dark (0) to bright (1), the chosen place ringed, as a ``data:`` address.
+    """A map of scores as colours from dark (0) to bright (1), the chosen place ringed, as a ``data:`` URL.
 
     Parameters
     ----------
@@ -97,33 +91,20 @@ def draw_scores(best: npt.NDArray[np.float32], action: int) -> str:
     draw = ImageDraw.Draw(picture)
     for radius, width, colour in _RING:
         draw.ellipse((x - radius, y - radius, x + radius, y + radius), outline=colour, width=width)
-    buffer = io.BytesIO()
-    picture.save(buffer, "WEBP", quality=_QUALITY)
-    return _address("image/webp", buffer.getvalue())
-
-
-def _still(picture: Image.Image) -> str:
-    buffer = io.BytesIO()
-    picture.save(buffer, "WEBP", quality=_QUALITY)
-    return _address("image/webp", buffer.getvalue())
+    return _webp(picture)
 
 
 def _animation(frames: Sequence[Image.Image], seconds: float) -> str:
     each = max(40, round(seconds * 1000 / len(frames)))
     durations = [each] * (len(frames) - 1) + [_LAST_FRAME_MS]
+    return _webp(frames[0], save_all=True, append_images=frames[1:], duration=durations, loop=0, minimize_size=False)
+
+
+def _webp(picture: Image.Image, **options: Any) -> str:
     buffer = io.BytesIO()
-    frames[0].save(
-        buffer,
-        "WEBP",
-        save_all=True,
-        append_images=frames[1:],
-        duration=durations,
-        loop=0,
-        quality=_QUALITY,
-        minimize_size=False,
-    )
-    return _address("image/webp", buffer.getvalue())
+    picture.save(buffer, "WEBP", quality=_QUALITY, **options)
+    return _url("image/webp", buffer.getvalue())
 
 
-def _address(kind: str, payload: bytes) -> str:
+def _url(kind: str, payload: bytes) -> str:
     return f"data:{kind};base64,{base64.b64encode(payload).decode()}"

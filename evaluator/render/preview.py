@@ -70,10 +70,7 @@ def check_action(situation: Situation, i: int, j: int, k: int) -> int:
 def chosen_by(policy: PolicySpec, checkpoint: Path | None = None) -> Iterator[Callable[[Situation], int]]:
     """A running policy as a function from a situation to its action.
 
-    Raises
-    ------
-    SubmissionError
-        The policy cannot be loaded; or, from the function, it gave no valid answer.
+    Raises SubmissionError where the policy cannot be loaded or, from the function, gave no valid answer.
     """
     from evaluator.policy import PolicyHost
 
@@ -88,16 +85,7 @@ def chosen_by(policy: PolicySpec, checkpoint: Path | None = None) -> Iterator[Ca
 
 
 def write_preview(take: Take, path: Path, title: str, colours: int | None = None) -> None:
-    """Draw a step into a PNG file.
-
-    Parameters
-    ----------
-    take : Take
-    path : Path
-    title : str
-        Which episode this is.
-    colours : int, optional
-        Reduce the picture to so many colours: a much smaller file.
+    """Draw a step into a PNG file; reduced to so many ``colours`` it is much smaller.
 
     Raises
     ------

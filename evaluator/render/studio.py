@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
@@ -97,28 +96,14 @@ class Marker(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """What a picture shows.
-
-    Attributes
-    ----------
-    joints : mapping of str to float64 (9,)
-        Seven arm joints (rad) and two fingers (m) of each acting arm.
-    bodies : sequence of Body
-    """
+    """What a picture shows: objects, and seven joints (rad) and two fingers (m) of each acting arm, float64 (9,)."""
 
     joints: Mapping[str, Array]
     bodies: Sequence[Body]
 
 
 def shot_of_world(world: World, roles: Sequence[tuple[str, ObjectSpec]]) -> Shot:
-    """The present state of a simulated world.
-
-    Parameters
-    ----------
-    world : World
-    roles : sequence of (role, spec)
-        Of its objects, in the order in which they were placed.
-    """
+    """The present state of a simulated world; ``roles`` of its objects in the order in which they were placed."""
     every = (*robots.ARM_JOINTS, *robots.FINGER_JOINTS)
     joints = {
         name: np.array([state[0] for state in world.client.getJointStates(arm.body, every)])
@@ -141,25 +126,16 @@ def shot_of_stage(
         x, y, z, yaw = (np.array([value]) for value in (hand.x_m, hand.y_m, hand.z_m, hand.yaw_rad))
         arm = solve_path(base, x, y, z, yaw, symmetric, parameters)[0]
         joints[hand.arm] = np.append(arm, [hand.opening_m / 2] * 2)
-    bodies = [
-        Body(
-            thing.role,
-            thing.spec,
-            (thing.x_m, thing.y_m, thing.z_m),
-            (0.0, 0.0, math.sin(thing.yaw_rad / 2), math.cos(thing.yaw_rad / 2)),
-        )
-        for thing in things
-    ]
-    return Shot(joints, bodies)
+    return Shot(joints, [Body(role, spec, (x, y, z), _about_z(yaw)) for role, spec, x, y, z, yaw in things])
+
+
+def _about_z(yaw_rad: float) -> tuple[float, float, float, float]:
+    """Quaternion of a turn about the vertical."""
+    return 0.0, 0.0, math.sin(yaw_rad / 2), math.cos(yaw_rad / 2)
 
 
 class Studio:
-    """Two arms at a table, to be posed and photographed in software; also a context manager.
-
-    Parameters
-    ----------
-    parameters : WorldParameters
-    """
+    """Two arms at a table, to be posed and photographed in software; also a context manager."""
 
     def __init__(self, parameters: WorldParameters = WORLD) -> None:
         self._p = parameters
@@ -176,9 +152,7 @@ class Studio:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -199,36 +173,17 @@ class Studio:
         size: tuple[int, int] = (640, 480),
         view: View = ROOM,
     ) -> npt.NDArray[np.uint8]:
-        """One picture.
-
-        Parameters
-        ----------
-        shot : Shot
-        markers : sequence of Marker
-        size : (width, height)
-            Pixels.
-        view : View
-
-        Returns
-        -------
-        uint8 (height, width, 3)
-        """
+        """One picture of (width, height) pixels: uint8 (height, width, 3)."""
         while self._extras:
             self._client.removeBody(self._extras.pop())
         for name in self._world.arms:
             self._pose_arm(name, shot.joints.get(name))
         for body in shot.bodies:
-            self._extras += [self._show(body), self._shade(body)]
-        for marker in markers:
-            half = marker.yaw_rad / 2
-            self._extras.append(
-                self._box(
-                    (marker.x_m, marker.y_m, 0.0008),
-                    (marker.half_x_m, marker.half_y_m, 0.0008),
-                    marker.colour,
-                    (0.0, 0.0, math.sin(half), math.cos(half)),
-                )
-            )
+            colour, half_z = COLOURS[body.role], body.spec.height_m / 2
+            self._extras.append(self._object(body, colour, 0.0, half_z, body.position, body.quaternion))
+            self._extras.append(self._shade(body))
+        for x, y, half_x, half_y, yaw, paint in markers:
+            self._extras.append(self._box((x, y, 0.0008), (half_x, half_y, 0.0008), paint, _about_z(yaw)))
         width, height = size
         client = self._client
         matrix = client.computeViewMatrix(view.eye, view.aim, (0, 0, 1))
@@ -252,9 +207,9 @@ class Studio:
 
     def _pose_arm(self, name: str, joints: Array | None) -> None:
         if joints is None:
-            side = math.copysign(1.0, base_of(name, self._p).y_m)
-            yaw = math.pi / 2
-            arm = solve(base_of(name, self._p), _IDLE[0], side * _IDLE[1], _IDLE[2], yaw, self._p)
+            base = base_of(name, self._p)
+            y = math.copysign(_IDLE[1], base.y_m)
+            arm = solve(base, _IDLE[0], y, _IDLE[2], math.pi / 2, self._p)
             joints = np.append(arm, [0.02, 0.02])
         body = self._world.arms[name].body
         for joint, value in zip((*robots.ARM_JOINTS, *robots.FINGER_JOINTS), joints.tolist(), strict=True):
@@ -273,14 +228,11 @@ class Studio:
         centre = matrix @ [0.0, side * 0.008, (palm + bottom) / 2] + state[4]
         return self._box(centre, (0.0125, 0.008, (bottom - palm) / 2), _CARRIAGE, state[5])
 
-    def _show(self, body: Body) -> int:
-        return self._object(body, COLOURS[body.role], 0.0, body.spec.height_m / 2, body.position, body.quaternion)
-
     def _shade(self, body: Body) -> int:
         """The shadow of an object under light from above (TinyRenderer's own lays the whole table in the dark)."""
         x, y, _ = body.position
-        half = self._client.getEulerFromQuaternion(body.quaternion)[2] / 2
-        return self._object(body, _SHADE, 0.003, 0.0002, (x, y, 0.0004), (0.0, 0.0, math.sin(half), math.cos(half)))
+        yaw = self._client.getEulerFromQuaternion(body.quaternion)[2]
+        return self._object(body, _SHADE, 0.003, 0.0002, (x, y, 0.0004), _about_z(yaw))
 
     def _object(
         self, body: Body, colour: Colour, rim: float, half_z: float, position: Sequence[float], turn: Sequence[float]

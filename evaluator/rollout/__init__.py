@@ -1,4 +1,4 @@
-"""One rollout for everybody: ask a policy, check its answers, simulate them, go on to the next step.
+"""The one rollout: ask a policy, check its answers, simulate them, go on to the next step.
 
 ``episode``
     from step to step: where a protocol begins, and what follows an outcome
@@ -7,7 +7,7 @@
 ``simulate``
     actions become outcomes, through an engine
 ``backend``
-    the world and the host of policies; tests exchange them
+    the world and the host of policies; tests replace them
 
 Evaluation, audit, collection, scenario picking, previews, reports and the Gymnasium environments use these.
 """

@@ -19,15 +19,7 @@ __all__ = ["actions", "ask", "attempt", "question", "record_answers"]
 def question(
     backend: Backend, situations: Sequence[Situation], observations: Sequence[Observation] | None = None
 ) -> ObservationBatch:
-    """The question about some situations of one step of one task.
-
-    Parameters
-    ----------
-    backend : Backend
-    situations : sequence of Situation
-    observations : sequence of Observation, optional
-        Of the situations, where they are known already.
-    """
+    """The question about some situations of one step of one task; ``observations`` where they are known already."""
     seen = [backend.observe(situation) for situation in situations] if observations is None else observations
     first = situations[0]
     return ObservationBatch.of(first, seen, backend.valid_actions(first.task, first.step))
@@ -55,13 +47,7 @@ def record_answers(
     ledger: Ledger,
     observations: Sequence[Observation] | None = None,
 ) -> None:
-    """Ask about the situations of some scenarios, and record the answers under the indices of the scenarios.
-
-    Raises
-    ------
-    StorageError
-        The disk is full.
-    """
+    """Ask about the situations of some scenarios, and record the answers under the indices of the scenarios."""
     step = situations[0].step
     ledger.add_answers(
         Answered(index, step, None, str(answer.reason), answer.detail)
@@ -72,14 +58,7 @@ def record_answers(
 
 
 def actions(answers: Sequence[Answer], error: Callable[[int, PolicyFault], RemaError]) -> list[int]:
-    """The actions of some answers, where every answer must be an action.
-
-    Parameters
-    ----------
-    answers : sequence of int or PolicyFault
-    error : callable
-        (position, fault) to what is raised at the first fault.
-    """
+    """The answers, which must all be actions; ``error`` makes an exception of the first (position, fault)."""
     for position, answer in enumerate(answers):
         if isinstance(answer, PolicyFault):
             raise error(position, answer)
@@ -89,16 +68,7 @@ def actions(answers: Sequence[Answer], error: Callable[[int, PolicyFault], RemaE
 def attempt(
     run: Callable[[Situation, int], StepOutcome], backend: Backend, situation: Situation, action: int
 ) -> StepOutcome:
-    """Outcome of a grid index that somebody chose: one that is not valid is a policy error, and not simulated.
-
-    Parameters
-    ----------
-    run : callable
-        ``Simulator.run``.
-    backend : Backend
-    situation : Situation
-    action : int
-    """
+    """Outcome of any grid index; ``run`` is ``Simulator.run``. An index that is not valid is a policy error."""
     valid = backend.valid_actions(situation.task, situation.step)
     (answer,) = check_answer(np.array([action]), valid[None])
     return POLICY_FAULT if isinstance(answer, PolicyFault) else run(situation, answer)

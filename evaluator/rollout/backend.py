@@ -1,4 +1,4 @@
-"""What a run is made of besides its configuration: the world and the host of policies, exchangeable in tests."""
+"""The world and the host of policies, as one record that tests replace."""
 
 from __future__ import annotations
 
@@ -23,26 +23,20 @@ __all__ = ["Backend", "PolicyProcess", "default_backend"]
 
 
 class PolicyProcess(Protocol):
-    """What a run needs of ``evaluator.policy.PolicyHost``."""
+    """What a run needs of ``evaluator.policy.PolicyHost``: situations are for privileged policies only."""
 
     @property
-    def privileged(self) -> bool:
-        """Whether the policy is shown the situations."""
-        ...
+    def privileged(self) -> bool: ...
 
-    def act(self, batch: ObservationBatch, situations: tuple[Situation, ...] | None) -> list[Answer]:
-        """One answer an observation."""
-        ...
+    def act(self, batch: ObservationBatch, situations: tuple[Situation, ...] | None) -> list[Answer]: ...
 
 
 @dataclass(frozen=True, slots=True)
 class Backend:
-    """The parts of a run.
+    """The world and the policies of a run.
 
     Attributes
     ----------
-    observe : callable
-        Situation to Observation.
     valid_actions : callable
         (task, step) to bool (64, 64, 16).
     observation_hash : str
@@ -50,12 +44,10 @@ class Backend:
     simulator : str
         ``module:attribute`` of the simulator's factory.
     fingerprint : str
-        ``module:attribute`` of a callable that returns the fingerprint of the simulator; called in a process of its
-        own, so that no physics is loaded here.
+        ``module:attribute`` of a callable that returns the fingerprint of the simulator; called in a child process, so
+        that this one loads no physics.
     protocol_hash : callable
         (task, protocol name) to sha256.
-    policy_digest : callable
-        (policy, checkpoint) to sha256.
     open_policy : callable
         (policy, checkpoint, device, log file, sandbox command or None) to a context manager that yields the policy's
         process.

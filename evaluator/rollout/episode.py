@@ -32,20 +32,7 @@ def next_step(scenario: Scenario, done: Situation, outcome: StepOutcome) -> Situ
 
 
 def walk(scenario: Scenario, protocol: str, attempt: Callable[[Situation], _T]) -> Iterator[_T]:
-    """Attempt one step after another until the episode ends.
-
-    Parameters
-    ----------
-    scenario : Scenario
-    protocol : {"conditional", "end-to-end"}
-    attempt : callable
-        Situation to a record with an ``outcome``.
-
-    Yields
-    ------
-    record
-        What ``attempt`` returned, for each step that the episode reached.
-    """
+    """Attempt one step after another until the episode ends; yields what ``attempt`` returns for each step."""
     situation: Situation | None = first_step(scenario, protocol)
     while situation is not None:
         done = attempt(situation)

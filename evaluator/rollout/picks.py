@@ -1,4 +1,4 @@
-"""The function that scenario picking needs: a policy that acts in some situations, with the outcomes of its actions."""
+"""A policy as the ``Picker`` of scenario lists: situations to the outcomes of its actions."""
 
 from __future__ import annotations
 
@@ -25,20 +25,7 @@ BATCH = 64
 def open_picker(
     spec: PolicySpec, checkpoint: Path | None, device: str, log: Path, workers: int, backend: Backend | None = None
 ) -> Iterator[Picker]:
-    """A policy that picks the tools of scenario lists, in a process of its own.
-
-    Parameters
-    ----------
-    spec : PolicySpec
-    checkpoint : Path or None
-    device : str
-        Handed to the policy.
-    log : Path
-        Where what it prints is kept.
-    workers : int
-        Simulation processes.
-    backend : Backend, optional
-        The real world by default.
+    """A policy that picks the tools of scenario lists, in a process of its own that prints into ``log``.
 
     Raises
     ------

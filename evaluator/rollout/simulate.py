@@ -44,32 +44,19 @@ def simulate_jobs(
     order: str,
     address: str | None = None,
 ) -> None:
-    """Run jobs and record what came of them.
+    """Run jobs and record their outcomes.
 
-    Parameters
-    ----------
-    jobs : list of Job
-    steps : mapping of int to (index, step)
-        What the key of a job stands for.
-    records : Records
-        Take the outcomes.
-    progress : Progress
-        Of a phase that has begun.
-    simulator : str
-        ``module:attribute`` of the simulator's factory.
-    engine, workers, order, address
-        See ``EvaluationConfig``.
+    ``steps`` gives the (index, step) of a job's key; ``progress`` has begun its phase; ``engine``, ``workers``,
+    ``order`` and ``address`` are those of ``EvaluationConfig``.
 
     Raises
     ------
     InfrastructureError
         Workers cannot be started.
-    StorageError
-        The disk is full.
     """
     ordered = arrange(jobs, order, [job.key for job in jobs])
-    running: Engine = make_engine(engine, workers, simulator, address=address)
-    with closing(running):
+    running: Engine
+    with closing(make_engine(engine, workers, simulator, address=address)) as running:
         for results in running.map(job_batches(ordered)):
             records.add_outcomes(
                 Simulated(
@@ -88,14 +75,6 @@ def simulate_jobs(
 
 def check_infrastructure(ledger: Ledger, summary: dict[str, Any], folder: Path) -> None:
     """Raise where too much was lost, or where the world was not deterministic.
-
-    Parameters
-    ----------
-    ledger : Ledger
-    summary : dict
-        Content of ``summary.json``.
-    folder : Path
-        Of the run.
 
     Raises
     ------

@@ -10,9 +10,8 @@ import hashlib
 import os
 from collections.abc import Iterator
 from concurrent.futures import Executor
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from evaluator.scenarios import (
     SPLITS,
@@ -24,9 +23,9 @@ from evaluator.scenarios import (
     write_list,
 )
 from evaluator.scenarios.policy_picks import Picker, draw_picked
-from evaluator.sim.parameters import WORLD, parameters_hash
+from evaluator.sim.parameters import parameters_hash
 from evaluator.sim.reference import prepare
-from evaluator.sim.simulator import Simulator
+from evaluator.sim.simulator import Simulator, process_simulator
 from evaluator.sim.spawn import episode_generator
 from rema_data.errors import InputError, IntegrityError
 from rema_data.manifests import read_manifest
@@ -44,8 +43,7 @@ _PICKED_CHUNK = 500
 """Scenarios whose picks are asked about together; with the batches of the questions it belongs to a list's identity."""
 
 
-@dataclass(frozen=True, slots=True)
-class Drawn:
+class Drawn(NamedTuple):
     """A scenario and the number of objects that were drawn again for it."""
 
     scenario: Scenario
@@ -53,27 +51,14 @@ class Drawn:
 
 
 def draw_scenario(simulator: Simulator, task: str, split: str, index: int) -> Drawn:
-    """One scenario: a function of (task, split, index) and of the simulator.
-
-    Parameters
-    ----------
-    simulator : Simulator
-    task, split : str
-    index : int
-    """
+    """One scenario: a function of (task, split, index) and of the simulator."""
     ready = prepare(simulator, task, episode_generator(ROOT_SEED, split, task, index))
-    return Drawn(Scenario(task, split, index, ready.placements, ready.grips, ready.pinch), ready.redrawn)
-
-
-_simulator: Simulator | None = None
+    return Drawn(ready.scenario(task, split, index), ready.redrawn)
 
 
 def _draw_chunk(job: tuple[str, str, range]) -> list[Drawn]:
-    global _simulator
-    if _simulator is None:
-        _simulator = Simulator(WORLD)
     task, split, indices = job
-    return [draw_scenario(_simulator, task, split, index) for index in indices]
+    return [draw_scenario(process_simulator(), task, split, index) for index in indices]
 
 
 def generate_list(task: str, split: str, count: int, pool: Executor) -> Iterator[Drawn]:
@@ -84,13 +69,7 @@ def generate_list(task: str, split: str, count: int, pool: Executor) -> Iterator
 
 
 def picked_list(task: str, split: str, count: int, pool: Executor, picker: Picker) -> Iterator[Drawn]:
-    """The same with the tools as a policy picked them.
-
-    Raises
-    ------
-    PolicyFailureError
-        The policy cannot pick.
-    """
+    """The same with the tools as a policy picked them; PolicyFailureError where it cannot."""
     check_task(task)
     for start in range(0, count, _PICKED_CHUNK):
         indices = range(start, min(start + _PICKED_CHUNK, count))
@@ -111,24 +90,19 @@ def write_lists(
 ) -> Path:
     """Write a new version of the scenario lists and its manifest; a list that the manifest names is never changed.
 
-    With a picker, tasks without tools keep the lists of the present version: they are named, not written again. A file
-    that no manifest names was left by a kill: its list is drawn again.
+    With a picker, the new manifest names the present lists of tasks without tools; they are not written again. A file
+    that no manifest names was left by a killed process: its list is drawn again.
 
     Parameters
     ----------
     version : str
         Name of the folder under ``manifests/scenarios``.
-    pool : Executor
-        Draws scenarios.
-    tasks : tuple of str
     counts : dict, optional
         Scenarios of each split; ``COUNTS`` by default.
-    progress : Progress, optional
-        Every list is a phase of it.
     picker : Picker, optional
-        Picks the tools; the privileged reference picks by default.
+        Picks the tools; the privileged reference policy by default.
     keep : tuple of str
-        Tasks besides, whose lists of the present version are named again.
+        More tasks, whose present lists the new manifest names.
 
     Returns
     -------
@@ -145,9 +119,7 @@ def write_lists(
         The disk is full or may not be written.
     """
     manifest, sink = manifest_path(version), progress or Silent()
-    origin = {}
-    if picker is not None:
-        origin = {"picker": picker.name, "picker_digest": picker.digest}
+    origin = {} if picker is None else {"picker": picker.name, "picker_digest": picker.digest}
     for split in SPLITS:
         count = (counts or COUNTS)[split]
         if count < 1:
@@ -160,8 +132,8 @@ def write_lists(
                 _name_again(manifest, version, task, split)
                 continue
             sink.phase(f"{task}/{split}", count)
-            drawn: list[Drawn] = []
             picked = None if picker is None else picked_list(task, split, count, pool, picker)
+            drawn: list[Drawn] = []
             for item in picked or generate_list(task, split, count, pool):
                 drawn.append(item)
                 sink.advance(1)
@@ -170,7 +142,7 @@ def write_lists(
 
 
 def _entries(manifest: Path) -> dict[str, dict[str, Any]]:
-    """What a manifest names; nothing where it is not there."""
+    """The lists in a manifest, by name; empty where there is no manifest."""
     if not manifest.is_file():
         return {}
     return read_manifest(manifest, "scenario manifest", lambda content: dict(content["lists"]))
@@ -179,7 +151,7 @@ def _entries(manifest: Path) -> dict[str, dict[str, Any]]:
 def _write(
     manifest: Path, version: str, drawn: list[Drawn], named: dict[str, Any] | None, origin: dict[str, str]
 ) -> None:
-    """Write a list and name it in the manifest; ``named`` is what the manifest says of it already."""
+    """Write a list and name it in the manifest, whose entry for it was ``named`` so far."""
     scenarios = [item.scenario for item in drawn]
     task, split = scenarios[0].task, scenarios[0].split
     file = manifest.parent / f"{task}_{split}.parquet"
@@ -204,10 +176,10 @@ def _write(
 
 
 def _name_again(manifest: Path, version: str, task: str, split: str) -> None:
-    """Enter the present list of a task without tools in the manifest of another version, with what is said of it."""
+    """Enter the present list of a task without tools in the manifest of another version."""
     name, present = f"{task}/{split}", manifest_path(load_list(task, split).version)
     entry = _entries(present)[name]
-    file = (present.parent / entry["file"]).resolve()  # which may lie in the folder of an older version itself
+    file = (present.parent / entry["file"]).resolve()  # maybe in the folder of an older version
     update_manifest(
         manifest, version, name, **entry | {"file": Path(os.path.relpath(file, manifest.parent.resolve())).as_posix()}
     )

@@ -10,7 +10,7 @@ import dataclasses
 import hashlib
 import io
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -52,23 +52,16 @@ VERSION = "v2"
 """The version of the lists that evaluations use; older and newer ones may lie beside it."""
 
 _SPEC = tuple(field.name for field in dataclasses.fields(ObjectSpec) if field.name != "shape")
-_PLACEMENT = ("x_m", "y_m", "yaw_rad")
-_GRIP = ("x_m", "y_m", "z_m", "yaw_rad", "opening_m")
-_PINCH = ("x_m", "y_m", "z_m", "yaw_rad", "left_m", "right_m")
+_POSE: dict[type, tuple[str, ...]] = {
+    Placement: ("x_m", "y_m", "yaw_rad"),
+    Grip: ("x_m", "y_m", "z_m", "yaw_rad", "opening_m"),
+    Pinch: ("x_m", "y_m", "z_m", "yaw_rad", "left_m", "right_m"),
+}
 
 
 @dataclass(frozen=True, slots=True)
 class ScenarioList:
-    """A frozen list and its identity.
-
-    Attributes
-    ----------
-    task, split, version : str
-    sha256 : str
-        Of the Parquet file, hexadecimal.
-    scenarios : tuple of Scenario
-        Sorted by index, which counts from 0 without a gap.
-    """
+    """A frozen list, with the sha256 (hex) of its Parquet file. Indices of its scenarios count from 0 without a gap."""
 
     task: str
     split: str
@@ -92,21 +85,18 @@ def reference_pinch(task: str) -> bool:
     return pinch_step(task) is not None
 
 
-def _groups(task: str) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Prefix and pose columns of every object of a row, in the order of the file."""
-    for step in range(len(TASKS[task])):
-        yield f"object{step}", _PLACEMENT
-    for tool in range(reference_tools(task)):
-        yield f"tool{tool}", _GRIP
-    if reference_pinch(task):
-        yield "pinch", _PINCH
+def _groups(task: str) -> dict[str, type]:
+    """Prefix of the columns, and type, of every object of a row, in the order of the file."""
+    groups: dict[str, type] = {f"object{step}": Placement for step in range(len(TASKS[task]))}
+    groups |= {f"tool{tool}": Grip for tool in range(reference_tools(task))}
+    return groups | ({"pinch": Pinch} if reference_pinch(task) else {})
 
 
 def _schema(task: str) -> pa.Schema:
     fields = [pa.field("index", pa.int32(), nullable=False)]
-    for prefix, pose in _groups(task):
+    for prefix, kind in _groups(task).items():
         fields.append(pa.field(f"{prefix}_shape", pa.string()))
-        fields.extend(pa.field(f"{prefix}_{name}", pa.float64()) for name in _SPEC + pose)
+        fields.extend(pa.field(f"{prefix}_{name}", pa.float64()) for name in _SPEC + _POSE[kind])
     return pa.schema(fields)
 
 
@@ -117,12 +107,12 @@ def _row(scenario: Scenario) -> dict[str, Any]:
         **{f"tool{n}": grip for n, grip in enumerate(scenario.grips)},
         "pinch": scenario.pinch,
     }
-    for prefix, pose in _groups(scenario.task):
-        part = held.get(prefix)
-        if part is not None:
-            row[f"{prefix}_shape"] = part.spec.shape.value
-            row.update({f"{prefix}_{name}": float(getattr(part.spec, name)) for name in _SPEC})
-            row.update({f"{prefix}_{name}": float(getattr(part, name)) for name in pose})
+    for prefix, kind in _groups(scenario.task).items():
+        thing = held.get(prefix)
+        if thing is not None:
+            row[f"{prefix}_shape"] = thing.spec.shape.value
+            row.update({f"{prefix}_{name}": float(getattr(thing.spec, name)) for name in _SPEC})
+            row.update({f"{prefix}_{name}": float(getattr(thing, name)) for name in _POSE[kind]})
     return row
 
 
@@ -159,20 +149,7 @@ def encode_list(scenarios: Sequence[Scenario]) -> bytes:
 
 
 def write_list(path: Path, scenarios: Sequence[Scenario]) -> str:
-    """Write a list atomically.
-
-    Returns
-    -------
-    str
-        sha256 of the file, for ``update_manifest``.
-
-    Raises
-    ------
-    InputError
-        See ``encode_list``.
-    StorageError
-        The disk is full or may not be written.
-    """
+    """Write a list atomically: sha256 of the file, for ``update_manifest``. Errors as in ``encode_list``."""
     payload = encode_list(scenarios)
     write_atomic(path, payload)
     return hashlib.sha256(payload).hexdigest()
@@ -187,18 +164,14 @@ def update_manifest(
     ----------
     path : Path
         ``manifests/scenarios/VERSION/manifest.json``.
-    version : str
-        Of all the lists in it.
     entry : str
         ``task/split``.
     file : str
         Of the list, relative to the manifest.
-    sha256 : str
-    count : int
     seed_domain : str
         Which part of the seed space its scenarios were drawn from.
     **origin
-        What else tells how the list was made, kept as it is.
+        More about how the list was made, kept as it is.
 
     Raises
     ------
@@ -290,22 +263,19 @@ def _read(path: Path, sha256: str, task: str, split: str) -> tuple[Scenario, ...
     columns = table.to_pydict()
     shapes = {shape.value: shape for shape in Shape}
 
-    def parts(prefix: str, pose: tuple[str, ...], kind: type) -> list[Any]:
+    def read(prefix: str, kind: type) -> list[Any]:
         size = zip(*(columns[f"{prefix}_{name}"] for name in _SPEC), strict=True)
-        where = zip(*(columns[f"{prefix}_{name}"] for name in pose), strict=True)
+        pose = zip(*(columns[f"{prefix}_{name}"] for name in _POSE[kind]), strict=True)
         return [
             None if shape is None else kind(ObjectSpec(shapes[shape], *lengths), *numbers)
-            for shape, lengths, numbers in zip(columns[f"{prefix}_shape"], size, where, strict=True)
+            for shape, lengths, numbers in zip(columns[f"{prefix}_shape"], size, pose, strict=True)
         ]
 
-    nothing: list[Any] = [None] * table.num_rows
-    objects = [parts(f"object{n}", _PLACEMENT, Placement) for n in range(len(TASKS[task]))]
-    tools = [parts(f"tool{n}", _GRIP, Grip) for n in range(reference_tools(task))]
-    pinches = parts("pinch", _PINCH, Pinch) if reference_pinch(task) else nothing
-    grips = zip(*tools, strict=True) if tools else [()] * table.num_rows
+    held = {prefix: read(prefix, kind) for prefix, kind in _groups(task).items()}
+    steps = len(TASKS[task])
+    pinches = held.pop("pinch", [None] * table.num_rows)
+    rows = zip(columns["index"], zip(*held.values(), strict=True), pinches, strict=True)
     return tuple(
-        Scenario(task, split, index, placements, tuple(grip for grip in held if grip is not None), pinch)
-        for index, placements, held, pinch in zip(
-            columns["index"], zip(*objects, strict=True), grips, pinches, strict=True
-        )
+        Scenario(task, split, index, things[:steps], tuple(grip for grip in things[steps:] if grip is not None), pinch)
+        for index, things, pinch in rows
     )

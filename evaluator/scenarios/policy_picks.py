@@ -1,8 +1,8 @@
-"""Scenario lists whose tools a policy picked: what a learned picker leaves in the hand, instead of the reference pick.
+"""Scenario lists whose tools a policy picked, instead of the reference policy.
 
-The objects are those of the reference lists, drawn by the same generators. One that the policy fails to pick is drawn
-again, as there; a pinch (``grasp_grasp_push``) is still the reference one. Where it fails on many objects, the tools
-are drawn and picked again.
+The same generators draw the objects of both lists. An object that the policy fails to pick is drawn again. A pinch
+(``grasp_grasp_push``) is still that of the reference policy; where it fails on many objects, the tools are drawn and
+picked again.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from evaluator.sim.reference import reference_step
-from evaluator.sim.simulator import Simulator
+from evaluator.sim.simulator import process_simulator
 from evaluator.sim.spawn import draw_episode, draw_step
 from rema_data.errors import PolicyFailureError
 from rema_data.schema import Grip, Pinch, Placement, Scenario, Situation, StepOutcome, pinch_step, tool_steps
@@ -28,15 +28,10 @@ LIMIT = 200
 
 @dataclass(frozen=True, slots=True)
 class Picker:
-    """A policy that picks the tools of a list.
+    """A policy that picks the tools of a list, with the name and digest that the manifest records.
 
-    Attributes
-    ----------
-    name, digest : str
-        Named in the manifest.
-    carry_out : callable
-        Situations of one step to the outcomes of what the policy does in them, in order. Raises
-        ``PolicyFailureError`` where it gives no action.
+    ``carry_out`` maps situations of one step to the outcomes of the policy's actions, in order. It raises
+    ``PolicyFailureError`` where the policy gives no action.
     """
 
     name: str
@@ -46,19 +41,7 @@ class Picker:
 
 @dataclass(slots=True)
 class Picked:
-    """A scenario that is being drawn.
-
-    Attributes
-    ----------
-    index : int
-    rng : numpy.random.Generator
-        Of the episode.
-    placements : list of Placement
-    grips : tuple of Grip
-    pinch : Pinch or None
-    redrawn : int
-        Objects that were drawn again.
-    """
+    """A scenario that is being drawn, and the number of objects that were drawn again for it."""
 
     index: int
     rng: np.random.Generator
@@ -85,15 +68,7 @@ def draw_picked(
 ) -> list[Picked]:
     """Draw some scenarios of a task, in the order of their indices; a function of the indices and the policy alone.
 
-    Parameters
-    ----------
-    task : str
-    generators : dict of int to numpy.random.Generator
-        Of every scenario, by its index.
-    picker : Picker
-        Picks the tools.
-    pool : Executor
-        Runs the reference pinches.
+    ``generators`` are those of the scenarios, by index; ``pool`` runs the reference pinches.
 
     Raises
     ------
@@ -113,7 +88,7 @@ def draw_picked(
         waiting = _failed(waiting, partial(_pinch, task, step, pool), task, step)
         if not waiting:
             return drawn
-        for one in waiting:  # its tools lie so in the hands that nothing can be held between them
+        for one in waiting:  # the tools lie in the hands in such a way that nothing can be pinched between them
             one.start_over(task)
     raise _cannot(task, step, waiting[0], "draw the lists with a policy whose picks leave the tools free")
 
@@ -151,15 +126,9 @@ def _pick(task: str, step: int, picker: Picker, some: list[Picked]) -> list[bool
     return [outcome.success for outcome in outcomes]
 
 
-_simulator: Simulator | None = None
-
-
 def _pinch_one(situation: Situation, rng: np.random.Generator) -> Pinch | None:
     """In a worker of the pool."""
-    global _simulator
-    if _simulator is None:
-        _simulator = Simulator()
-    outcome = reference_step(_simulator, situation, rng)
+    outcome = reference_step(process_simulator(), situation, rng)
     return None if outcome is None else outcome.pinch
 
 

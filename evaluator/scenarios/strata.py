@@ -1,4 +1,4 @@
-"""Scenarios by what their target is like: shape, size and yaw. For exploring where a policy fails, not for ranking."""
+"""Scenarios by shape, size and yaw of their target: to explore where a policy fails, not to rank."""
 
 from __future__ import annotations
 
@@ -59,20 +59,12 @@ class Stratum:
 
 
 def targets_of_list(task: str, split: str) -> Targets:
-    """Targets of a frozen list.
-
-    Raises
-    ------
-    InputError, MissingFileError, IntegrityError
-        See ``load_list``.
-    """
-    placements = [scenario.placements[-1] for scenario in load_list(task, split).scenarios]
-    return Targets(
-        np.array([placement.spec.shape.value for placement in placements]),
-        np.array([placement.spec.length_m for placement in placements]),
-        np.array([placement.spec.width_m for placement in placements]),
-        np.array([placement.yaw_rad for placement in placements]),
+    """Targets of a frozen list; errors are those of ``load_list``."""
+    placed = [scenario.placements[-1] for scenario in load_list(task, split).scenarios]
+    columns = zip(
+        *((one.spec.shape.value, one.spec.length_m, one.spec.width_m, one.yaw_rad) for one in placed), strict=True
     )
+    return Targets(*map(np.array, columns))
 
 
 def strata(targets: Targets) -> list[Stratum]:

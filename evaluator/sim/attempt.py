@@ -46,9 +46,6 @@ class Attempt:
 
     Attributes
     ----------
-    world : World
-    situation : Situation
-    hands : list of Hand
     target : int
         Body of the object of this step.
     allowed, forbidden : tuple of int
@@ -115,12 +112,6 @@ class Attempt:
         if touching:
             self.note(contact_steps=self.evidence.contact_steps + 1)
         return touching
-
-    def follow(self, paths: Sequence[JointPath]) -> None:
-        """Move every hand along its path, one row a control tick, in step with each other."""
-        for tick in range(len(paths[0].velocities)):
-            self.command(paths, tick)
-            self.step(self.parameters.control_every)
 
     def command(self, paths: Sequence[JointPath], tick: int) -> None:
         """Set every hand's joint targets for one control tick."""

@@ -35,13 +35,7 @@ def decisive(fingerprint: Mapping[str, Any] | None) -> dict[str, Any]:
 
 
 def require_bullet() -> None:
-    """Check that simulation is possible here, before anything starts.
-
-    Raises
-    ------
-    InputError
-        The module ``pybullet`` is not installed.
-    """
+    """Raise an InputError where ``pybullet`` is not installed, before anything starts."""
     if find_spec("pybullet") is None:
         raise InputError(
             "simulation needs PyBullet, which is not installed",

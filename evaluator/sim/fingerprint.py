@@ -36,7 +36,7 @@ def fingerprint() -> dict[str, str]:
 
 
 _PROBED = "success failure arm displacement_m lift_m peak_force_n contact_steps illegal_steps sim_steps grip pinch"
-"""What a probe's hash covers, by name: a field that outcomes gain later must not make another simulator of this one."""
+"""Fields that a probe's hash covers: a field that outcomes gain later must not change the fingerprint."""
 
 
 def _probed(outcome: StepOutcome) -> dict[str, Any]:

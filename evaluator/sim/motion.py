@@ -67,18 +67,8 @@ def line(
 ) -> JointPath:
     """Joint path of a straight line of the tool centre point at a constant yaw.
 
-    Parameters
-    ----------
-    base : Base
-    start, end : (x, y, z)
-        World frame, metres.
-    yaw_rad : float
-    shares : float64 (n + 1,)
-        From ``profile``.
-    tick_s : float
-        Time between two rows.
-    symmetric : bool
-        Whether half a turn of the hand makes no difference.
+    ``start`` and ``end`` are (x, y, z) in the world frame, metres; ``shares`` float64 (n + 1,) from ``profile``;
+    ``tick_s`` the time between two rows; ``symmetric`` as in ``solve_path``.
     """
     way = np.asarray(start)[:, None] + (np.asarray(end) - np.asarray(start))[:, None] * shares
     positions = solve_path(base, way[0], way[1], way[2], np.full(shares.shape, yaw_rad), symmetric, parameters)

@@ -27,18 +27,9 @@ cut off, so a finger shows as a full 0.05 m."""
 
 
 def observe(situation: Situation, parameters: WorldParameters = WORLD) -> Observation:
-    """Scene and end-effector maps before an action.
+    """Scene and end-effector maps before an action, heights in units of 0.1 mm.
 
-    Parameters
-    ----------
-    situation : Situation
-    parameters : WorldParameters
-
-    Returns
-    -------
-    Observation
-        Heights in units of 0.1 mm. The end-effector maps are centred on the tool centre point (one hand) or on the
-        pair's origin (two hands), at yaw 0.
+    The end-effector maps are centred on the tool centre point (one hand) or on the pair's origin (two hands), at yaw 0.
     """
     scene = np.zeros((SCENE_PIXELS, SCENE_PIXELS), np.uint16)
     height = round(situation.target.spec.height_m / HEIGHT_STEP_M)
@@ -46,12 +37,10 @@ def observe(situation: Situation, parameters: WorldParameters = WORLD) -> Observ
         paint(scene, rect, height, SCENE_HALF_M)
     depth = np.zeros((2, EE_PIXELS, EE_PIXELS), np.uint16)
     mask = np.zeros((2, EE_PIXELS, EE_PIXELS), np.bool_)
-    states = end_effector_states(situation, parameters)
-    for state, parts in enumerate(states):
-        if state and parts is states[0]:
-            depth[1], mask[1] = depth[0], mask[0]
-        else:
-            depth[state], mask[state] = paint_parts(parts)
+    start, end = end_effector_states(situation, parameters)
+    depth[0], mask[0] = depth[1], mask[1] = paint_parts(start)
+    if end is not start:
+        depth[1], mask[1] = paint_parts(end)
     return Observation(scene, depth, mask)
 
 

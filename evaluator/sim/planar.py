@@ -26,10 +26,6 @@ class Rect(NamedTuple):
         c, s = math.cos(yaw), math.sin(yaw)
         return Rect(x + c * self.x - s * self.y, y + s * self.x + c * self.y, yaw + self.yaw, self.half_x, self.half_y)
 
-    def grown(self, margin: float) -> Rect:
-        """The rectangle widened by ``margin`` on every side."""
-        return self._replace(half_x=self.half_x + margin, half_y=self.half_y + margin)
-
     def extent(self, direction: float) -> tuple[float, float]:
         """Smallest and largest coordinate of the rectangle along ``direction`` (rad)."""
         centre = self.x * math.cos(direction) + self.y * math.sin(direction)

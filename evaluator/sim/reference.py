@@ -16,7 +16,7 @@ from evaluator.sim.kinds import kind_of
 from evaluator.sim.reach import valid_actions
 from evaluator.sim.simulator import Simulator
 from evaluator.sim.spawn import draw_episode, draw_step
-from rema_data.schema import TASKS, Grip, Pinch, Placement, Situation, StepOutcome
+from rema_data.schema import TASKS, Grip, Pinch, Placement, Scenario, Situation, StepOutcome
 
 __all__ = ["Prepared", "prepare", "reference_step"]
 
@@ -25,28 +25,20 @@ TRIES = 6
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """An episode up to its last step: its objects, the tools in hand, and how many objects had to be drawn again."""
+    """An episode up to its last step: its objects, the tools in hand, and how many objects were drawn again."""
 
     placements: tuple[Placement, ...]
     grips: tuple[Grip, ...]
     pinch: Pinch | None
     redrawn: int
 
-    def last_situation(self, task: str) -> Situation:
-        """What the last step of ``task`` starts from."""
-        return Situation(task, len(self.placements) - 1, self.placements[-1], self.grips, self.pinch)
+    def scenario(self, task: str, split: str = "", index: int = 0) -> Scenario:
+        """The episode as a scenario."""
+        return Scenario(task, split, index, self.placements, self.grips, self.pinch)
 
 
 def prepare(simulator: Simulator, task: str, rng: np.random.Generator) -> Prepared:
-    """Draw an episode and put its tools into the hands; an object that cannot be picked or pinched is drawn again.
-
-    Parameters
-    ----------
-    simulator : Simulator
-    task : str
-    rng : numpy.random.Generator
-        Keyed by the episode.
-    """
+    """Draw an episode and put its tools into the hands; an object that cannot be picked or pinched is drawn again."""
     placements = list(draw_episode(rng, task, simulator.parameters))
     grips: tuple[Grip, ...] = ()
     pinch: Pinch | None = None
@@ -68,13 +60,7 @@ def prepare(simulator: Simulator, task: str, rng: np.random.Generator) -> Prepar
 def reference_step(simulator: Simulator, situation: Situation, rng: np.random.Generator) -> StepOutcome | None:
     """Pick up or pinch an object that is to become a tool; None if no try succeeds.
 
-    Parameters
-    ----------
-    simulator : Simulator
-    situation : Situation
-        Of a step that is not its task's last.
-    rng : numpy.random.Generator
-        Chooses where along the bar a pick aims, and which way round.
+    The generator chooses where along the bar a pick aims, and which way round.
     """
     valid = valid_actions(situation.task, situation.step).reshape(-1)
     candidates = kind_of(situation).candidates(situation.target, valid, rng, simulator.parameters)

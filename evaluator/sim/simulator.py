@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 from evaluator.sim.attempt import Attempt, AttemptFailed, Hand
 from evaluator.sim.kinds import kind_of
@@ -10,18 +11,13 @@ from evaluator.sim.parameters import WORLD, WorldParameters
 from evaluator.sim.reach import acting_arm
 from evaluator.sim.staging import Pose, target_thing
 from evaluator.sim.world import Unstable, World
-from rema_data import grid
-from rema_data.schema import Evidence, Failure, Grip, Pinch, Situation, StepOutcome
+from rema_data.schema import Action, Evidence, Failure, Grip, Pinch, Situation, StepOutcome
 
 
 class Simulator:
     """Carries out single steps. One per process; the same step gives the same outcome in any order and any process.
 
-    Parameters
-    ----------
-    parameters : WorldParameters
-    shortcuts : bool
-        Whether actions that provably cannot touch the target are labelled ``missed`` without simulation.
+    With ``shortcuts``, actions that provably cannot touch the target are labelled ``missed`` without simulation.
     """
 
     def __init__(self, parameters: WorldParameters = WORLD, *, shortcuts: bool = True) -> None:
@@ -29,19 +25,11 @@ class Simulator:
         self._world: World | None = None
 
     def run(self, situation: Situation, action: int) -> StepOutcome:
-        """Outcome of one action.
-
-        Parameters
-        ----------
-        situation : Situation
-        action : int
-            Grid index, 0..65535.
-        """
+        """Outcome of one action, a grid index in 0..65535."""
         arm = acting_arm(situation.task, situation.step, action, self.parameters)
         if arm is None:
             return StepOutcome(False, Failure.UNREACHABLE)
-        x, y, theta = grid.to_world(action)
-        pose = float(x), float(y), float(theta)
+        pose = Action(action).pose
         if self._shortcuts and not kind_of(situation).can_touch(situation, pose, self.parameters):
             return StepOutcome(False, Failure.MISSED, arm=arm)
         self.world.begin(("left", "right") if arm == "both" else (arm,))
@@ -85,3 +73,9 @@ class Simulator:
         grip = made if isinstance(made, Grip) else None
         pinch = made if isinstance(made, Pinch) else None
         return StepOutcome(failure is None, failure, grip=grip, pinch=pinch, **measured)
+
+
+@cache
+def process_simulator() -> Simulator:
+    """The one simulator of a worker process, open until it ends."""
+    return Simulator()

@@ -10,16 +10,9 @@ from rema_data.schema import TASK_NUMBERS, TASKS, ObjectSpec, Placement, Shape, 
 
 
 def episode_generator(root: int, domain: str, task: str, episode: int) -> np.random.Generator:
-    """The generator of one episode: streams of different domains, tasks or episodes never meet.
+    """The generator of one episode of a list: streams of different domains, tasks or episodes never meet.
 
-    Parameters
-    ----------
-    root : int
-        Root seed of a list or a collection.
-    domain : str
-        ``test``, ``val`` or ``collect``: the key that keeps frozen scenarios and collected data apart.
-    task : str
-    episode : int
+    ``domain`` (``test``, ``val`` or ``calibrate``) keeps frozen scenarios and collected data apart.
     """
     key = (_DOMAINS[domain], TASK_NUMBERS[task], episode)
     return np.random.default_rng(np.random.SeedSequence(root, spawn_key=key))
@@ -28,17 +21,7 @@ def episode_generator(root: int, domain: str, task: str, episode: int) -> np.ran
 def collection_generator(root: int, round_: int, task: str, split: str, episode: int) -> np.random.Generator:
     """The generator of one collected episode: streams of different rounds, tasks, splits or episodes never meet.
 
-    Parameters
-    ----------
-    root : int
-        Root seed of the collection plan.
-    round_ : int
-        From 1.
-    task : str
-    split : str
-        ``train`` or ``val``.
-    episode : int
-        Position in its (round, task, split), from 0.
+    Rounds count from 1, episodes of a (round, task, split) from 0; ``split`` is ``train`` or ``val``.
     """
     key = (_DOMAINS["collect"], TASK_NUMBERS[task], round_, _SPLITS[split], episode)
     return np.random.default_rng(np.random.SeedSequence(root, spawn_key=key))

@@ -1,9 +1,9 @@
 """One PyBullet world: arms, a table, and the objects of one step.
 
 The whole world is rebuilt at the start of each step, in a fixed order, so that what follows is a pure function of what
-is placed: joints, motors, objects. Anything less leaks history: with only the objects replaced, the order of Bullet's
-collision pairs depends on what was there before, and now and then the last bits of an outcome, or its label, with it.
-Arms without pictures make a rebuild cheap.
+is placed: joints, motors, objects. With only the objects replaced, the order of Bullet's collision pairs would depend
+on earlier steps, and sometimes the last bits of an outcome, or its label, too. Arms without pictures make a rebuild
+cheap.
 """
 
 from __future__ import annotations
@@ -44,19 +44,12 @@ class Client:
 
 
 class Arm:
-    """One arm with its hand inside a world: joint targets, fingers, state.
-
-    Parameters
-    ----------
-    world : World
-    name : str
-        ``left`` or ``right``.
-    """
+    """The ``left`` or ``right`` arm with its hand inside a world: joint targets, fingers, state."""
 
     def __init__(self, world: World, name: str) -> None:
-        self._p, self._parameters = world.client, world.parameters
-        self.name = name
-        self.base = base_of(name, world.parameters)
+        self._p = world.client
+        self._parameters = parameters = world.parameters
+        self.base = base_of(name, parameters)
         path, _ = robots.urdf_file(world.urdf)
         self.body: int = self._p.loadURDF(
             path,
@@ -65,7 +58,6 @@ class Arm:
             useFixedBase=True,
             flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
         )
-        parameters = world.parameters
         for link in robots.FINGER_JOINTS:
             self._p.changeDynamics(
                 self.body,
@@ -164,13 +156,7 @@ class World:
         self.begin(arms)
 
     def begin(self, arms: Sequence[str] | None = None) -> None:
-        """Build everything again: an empty table, and arms for the caller to reset.
-
-        Parameters
-        ----------
-        arms : sequence of str, optional
-            Those of before by default.
-        """
+        """Build everything again: an empty table, and arms (by default those of before) for the caller to reset."""
         p, parameters = self.client, self.parameters
         names = tuple(self.arms) if arms is None else tuple(arms)
         self.steps = 0

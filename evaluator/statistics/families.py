@@ -1,4 +1,4 @@
-"""Many comparisons at once: p values adjusted for their number, and policies that do not differ as letters."""
+"""Many comparisons at once: adjusted p values, and letters that group policies without a significant difference."""
 
 from __future__ import annotations
 

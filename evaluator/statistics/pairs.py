@@ -1,4 +1,4 @@
-"""Two policies on the same scenarios: the 2x2 table, its test, its interval, and what it could have found."""
+"""Two policies on the same scenarios: the 2x2 table, its test, its interval, and its power."""
 
 from __future__ import annotations
 
@@ -19,12 +19,7 @@ POWER = 0.8
 
 @dataclass(frozen=True, slots=True)
 class PairTable:
-    """How two policies did on the same scenarios.
-
-    Attributes
-    ----------
-    both, only_a, only_b, neither : int
-        Scenarios that both, one or none of them solved.
+    """Counts of scenarios that both, one or none of two policies solved.
 
     Raises
     ------
@@ -40,7 +35,7 @@ class PairTable:
     def __post_init__(self) -> None:
         if min(self.both, self.only_a, self.only_b, self.neither) < 0 or self.n == 0:
             raise InputError(
-                f"{self} is no table of pairs", hint="pair at least one scenario that both were measured on"
+                f"{self} is not a table of pairs", hint="pair at least one scenario that both were measured on"
             )
 
     @property
@@ -112,18 +107,8 @@ def midp_mcnemar(table: PairTable) -> float:
 def paired_interval(table: PairTable, confidence: float = 0.95) -> tuple[float, float]:
     """Newcombe's interval of the difference of paired rates, A minus B (1998, method 10).
 
-    Built from the two Wilson intervals and the correlation of the outcomes. It and ``midp_mcnemar`` may disagree
-    about zero in cases on the edge: the tables decide by the p value.
-
-    Returns
-    -------
-    (low, high) : tuple of float
-        In -1..1.
-
-    Raises
-    ------
-    InputError
-        When the confidence cannot be.
+    Built from the two Wilson intervals and the correlation of the outcomes; (low, high) in -1..1. It and
+    ``midp_mcnemar`` may disagree about zero in borderline cases: the tables decide by the p value.
     """
     n = table.n
     solved_a, solved_b = table.both + table.only_a, table.both + table.only_b
@@ -151,7 +136,6 @@ def detectable_difference(n: int, discordance: float, power: float = POWER, alph
 
     Parameters
     ----------
-    n : int
     discordance : float
         Share of scenarios that one policy solves and the other does not; measured, not assumed.
     power, alpha : float
@@ -165,7 +149,7 @@ def detectable_difference(n: int, discordance: float, power: float = POWER, alph
     Raises
     ------
     InputError
-        When an argument cannot be.
+        An argument is out of range.
     """
     if n < 1 or not 0 <= discordance <= 1 or not 0 < alpha < 1 or not alpha < power < 1:
         raise InputError(

@@ -27,41 +27,25 @@ _MAX_DIGITS = 4
 
 
 def wilson(successes: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Wilson score interval of a rate.
-
-    Parameters
-    ----------
-    successes, n : int
-        ``n = 0`` knows nothing: (0, 1).
-    confidence : float
-        In (0, 1).
-
-    Returns
-    -------
-    (low, high) : tuple of float
-        Shares in 0..1.
+    """Wilson score interval of a rate: (low, high), shares in 0..1; (0, 1) without an episode.
 
     Raises
     ------
     InputError
-        When the counts or the confidence cannot be.
+        The counts are not those of a rate, or the confidence is not in (0, 1).
     """
     return _interval(successes, n, confidence, "wilson")
 
 
 def clopper_pearson(successes: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Clopper-Pearson interval: never covers less than it says; for guarantees and for zero counts.
-
-    Parameters, returns and errors are those of ``wilson``.
-    """
+    """Clopper-Pearson interval, as ``wilson``: never covers less than it says; for guarantees and for zero counts."""
     return _interval(successes, n, confidence, "exact")
 
 
 def rate_interval(successes: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
-    """The interval that the tables show: Wilson, and Clopper-Pearson where every episode ended alike.
+    """The interval that the tables show: Wilson, and Clopper-Pearson for a rate of 0 or 1.
 
-    A rate of 0 or 1 is read as a guarantee ("it never fails"), so its bound is the one that guarantees.
-    Parameters, returns and errors are those of ``wilson``.
+    Readers take such a rate as a guarantee ("it never fails"), so its bound is the one that guarantees.
     """
     return (clopper_pearson if successes in (0, n) else wilson)(successes, n, confidence)
 
@@ -80,18 +64,12 @@ def _interval(successes: int, n: int, confidence: float, method: Literal["wilson
 
 
 def error_bounds(successes: int, measured: int, lost: int) -> tuple[float, float]:
-    """The rate if all lost episodes had failed, and if all had succeeded.
-
-    Parameters
-    ----------
-    successes, measured : int
-    lost : int
-        Episodes without a measurement (infrastructure errors).
+    """The rate if all lost episodes (infrastructure errors) had failed, and if all had succeeded.
 
     Raises
     ------
     InputError
-        When the counts cannot be.
+        The counts are not possible.
     """
     if not 0 <= successes <= measured or lost < 0 or measured + lost == 0:
         raise InputError(
@@ -102,7 +80,7 @@ def error_bounds(successes: int, measured: int, lost: int) -> tuple[float, float
 
 
 def percent(share: float) -> str:
-    """A share in per cent: one decimal, and more only where rounding would claim 0 or 100."""
+    """A share in per cent: one decimal, and more only where it would round to 0 or 100."""
     if share in (0.0, 1.0):
         return f"{100 * share:.0f}"
     for digits in range(1, _MAX_DIGITS + 1):
@@ -130,13 +108,7 @@ def z_against_published(
 ) -> tuple[float, float]:
     """How far a rate is from a published one, in standard errors (pooled two-proportion test, unpaired).
 
-    Parameters
-    ----------
-    successes, n : int
-    published_rate : float
-        Share in 0..1.
-    published_n : int
-        Episodes behind the published rate.
+    ``published_rate`` is a share in 0..1 of ``published_n`` episodes.
 
     Returns
     -------
@@ -146,7 +118,7 @@ def z_against_published(
     Raises
     ------
     InputError
-        When the counts or the rate cannot be.
+        The counts or the rate are not possible.
     """
     if not 0 <= successes <= n or n == 0 or published_n < 1 or not 0 <= published_rate <= 1:
         raise InputError(

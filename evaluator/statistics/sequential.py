@@ -1,8 +1,8 @@
-"""Looking early and often without fooling oneself: a paired e-process, and intervals that hold at every look.
+"""Sequential tests: a paired e-process, and intervals that hold at every look.
 
-All of them hold at every number of episodes at once, so they may be looked at after each episode, and a run may be
-stopped because of what they show. What they ask for: pairs come in an order that knows nothing of their outcomes (the
-order of a plan). The order in which workers finish is none: episodes that end soon end differently.
+They hold at every number of episodes at once. So you may look after each episode, and stop a run because of what you
+see. Pairs must come in an order that does not depend on their outcomes, such as that of a plan. The order in which
+workers finish does depend on them: short episodes end differently.
 """
 
 from __future__ import annotations
@@ -29,20 +29,11 @@ Verdict = Literal["better", "worse", "undecided"]
 
 
 def log_e_value(only_ours: Counts, only_reference: Counts) -> Any:
-    """Logarithm of the evidence that discordant pairs do not fall on either side with equal chance.
+    """Logarithm of the evidence against equally good policies, from the scenarios that only one of them solved.
 
-    The likelihood of the counts, averaged over all chances (a uniform mixture), over their likelihood at 1/2: a
-    martingale that starts at 1 when the policies are equally good, so it ever reaches ``1 / alpha`` with a chance
-    below alpha (Ville).
-
-    Parameters
-    ----------
-    only_ours, only_reference : int or int64 array
-        Scenarios solved by one of the two alone.
-
-    Returns
-    -------
-    float or float64 array
+    The evidence is the likelihood of the counts, averaged over all chances (a uniform mixture), over their likelihood
+    at 1/2. For equally good policies it is a martingale that starts at 1, so the chance that it ever reaches
+    ``1 / alpha`` is below alpha (Ville). Takes ints or int64 arrays.
     """
     from scipy.special import betaln
 
@@ -57,7 +48,7 @@ def rate_sequence(successes: int, n: int, alpha: float = ALPHA) -> tuple[float, 
     Raises
     ------
     InputError
-        When the counts or alpha cannot be.
+        A count is negative, or alpha is not in (0, 1).
     """
     _check(alpha, successes, n - successes)
     if n == 0:
@@ -78,14 +69,7 @@ def difference_sequence(only_ours: int, only_reference: int, pairs: int, alpha: 
 
     Bets on the paired differences (1, 0 or -1) against every possible mean, mixed uniformly over the sizes of the bet
     (Waudby-Smith and Ramdas 2024). Against a mean of 0 this is the e-process of ``log_e_value``: the interval leaves
-    zero exactly when that stops.
-
-    Parameters
-    ----------
-    only_ours, only_reference : int
-    pairs : int
-        All pairs, the concordant ones included.
-    alpha : float
+    zero exactly when that stops. ``pairs`` includes the concordant ones.
 
     Returns
     -------
@@ -95,7 +79,7 @@ def difference_sequence(only_ours: int, only_reference: int, pairs: int, alpha: 
     Raises
     ------
     InputError
-        When the counts or alpha cannot be.
+        A count is negative, or alpha is not in (0, 1).
     """
     same = pairs - only_ours - only_reference
     _check(alpha, only_ours, only_reference, same)
@@ -151,15 +135,14 @@ def _check(alpha: float, *counts: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class QuickResult:
-    """What a quick look has found so far; intervals hold at every look.
+    """The result of a quick look; intervals hold at every look.
 
     Attributes
     ----------
     verdict : {"better", "worse", "undecided"}
         Of our policy against the reference.
     alpha : float
-        Largest chance of a wrong ``better`` or ``worse``, whenever one looks.
-    pairs, only_ours, only_reference : int
+        Largest chance of a wrong ``better`` or ``worse``, at any number of looks.
     decided_at : int or None
         Pairs after which the verdict was reached.
     p_value : float
@@ -193,17 +176,8 @@ class QuickResult:
 class QuickLook:
     """A paired sequential test of one policy against a reference: add pairs, stop when it has decided.
 
-    The verdict stays once it is reached; pairs that come later only narrow the intervals.
-
-    Parameters
-    ----------
-    alpha : float
-        Largest chance of a verdict where there is no difference.
-
-    Raises
-    ------
-    InputError
-        When alpha cannot be.
+    The verdict stays once it is reached; pairs that come later only narrow the intervals. ``alpha`` is the largest
+    chance of a verdict where there is no difference.
 
     Examples
     --------

@@ -84,12 +84,12 @@ def test_random_is_uniform_over_the_valid_grid() -> None:
     assert chisquare(counts).pvalue > 1e-4
 
 
-@pytest.mark.parametrize(("primitive", "offset_m"), [("grasp", 0.0), ("push", WORLD.scripted_push_offset_m)])
-def test_scripted_goes_to_the_target(primitive: str, offset_m: float) -> None:
-    batch = make_batch(40, primitive=primitive)
+@pytest.mark.parametrize(("task", "offset_m"), [("grasp", 0.0), ("push", WORLD.scripted_push_offset_m)])
+def test_scripted_goes_to_the_target(task: str, offset_m: float) -> None:
+    batch = make_batch(40, task)
     generator = np.random.default_rng(1)
     places = [tuple(float(part) for part in generator.uniform(-0.02, 0.1, 2)) for _ in range(40)]
-    actions = ScriptedPolicy().act(batch, tuple(make_situation(x_m, y_m) for x_m, y_m in places))
+    actions = ScriptedPolicy().act(batch, tuple(make_situation(x_m, y_m, task) for x_m, y_m in places))
     x_m, y_m, _ = grid.to_world(actions)
     assert np.abs(x_m - [place[0] - offset_m for place in places]).max() <= grid.PIXEL_M / 2 + 1e-12
     assert np.abs(y_m - [place[1] for place in places]).max() <= grid.PIXEL_M / 2 + 1e-12
@@ -154,7 +154,7 @@ def test_the_reference_does_not_depend_on_batch_or_order() -> None:
         assert alone == whole[::-1]
 
 
-def test_the_reference_leaves_to_the_scripted_policy_what_it_has_no_choice_for() -> None:
+def test_the_reference_falls_back_to_the_scripted_policy() -> None:
     batch = make_batch(8, primitive="push")
     situations = (make_situation(task="push"),) * 8
     assert ReferencePolicy().act(batch, situations).tolist() == ScriptedPolicy().act(batch, situations).tolist()

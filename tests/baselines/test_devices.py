@@ -19,13 +19,13 @@ ROOT = Path(__file__).parents[2]
 NOT_HERE = ["gpu", "openvino", "meta", "cpu:", *([] if torch.cuda.is_available() else ["cuda", "cuda:7"])]
 
 
-def test_what_is_here() -> None:
+def test_usable_devices() -> None:
     assert training_device("cpu") == torch.device("cpu")
     assert {"tae", "tae-joint", "tae-separate"} == LEARNED and devices._OPENVINO == OPENVINO
 
 
 @pytest.mark.parametrize("name", NOT_HERE)
-def test_what_is_not_here(name: str) -> None:
+def test_devices_that_are_not_there(name: str) -> None:
     with pytest.raises(InputError, match=f"device '{name}'") as caught:
         training_device(name)
     assert "cpu" in caught.value.hint

@@ -15,8 +15,9 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.sim.attempt import POLL_EVERY, Attempt, AttemptFailed
-from evaluator.sim.footprints import SIDES, hand_footprint
+from evaluator.sim.attempt import CLEAR_M, POLL_EVERY, Attempt, AttemptFailed
+from evaluator.sim.footprints import SIDES, clear_of_target, hand_footprint
+from evaluator.sim.motion import JointPath, line, profile
 from evaluator.sim.parameters import WORLD, WorldParameters
 from evaluator.sim.planar import Rect
 from evaluator.sim.staging import ARMS, HandPose, Part, Pose, Thing, turned
@@ -31,12 +32,10 @@ TOOL_HEIGHTS_M = (0.0, 0.03)
 
 
 class Kind(ABC):
-    """One kind of step.
+    """One kind of step, ``step`` in the schema.
 
     Attributes
     ----------
-    step : StepKind
-        The name of this kind in the schema.
     acting, touching : str
         In words: what acts ("a tool"), and the only thing that may touch the target ("the held tool").
     role : str or None
@@ -119,19 +118,10 @@ class Kind(ABC):
         closed: bool = False,
         p: WorldParameters = WORLD,
     ) -> list[HandPose]:
-        """Poses of the hands that act.
+        """Poses of the hands that act, ``arm`` where only one does, in the start or the end (closed) state.
 
-        Parameters
-        ----------
-        situation : Situation
-        pose : (x, y, yaw)
-            Of the tool centre point, or of the pair's origin; m, rad.
-        height_m : float
-            Height of one tool centre point; for a pair, of the zero from which its hands are raised.
-        arm : str
-            Which arm acts where only one does.
-        closed : bool
-            The end state (jaws or sticks closed) instead of the start state.
+        ``pose`` and ``height_m`` are those of the tool centre point. For a pair they are those of its origin, above
+        which ``heights`` raises the hands.
         """
         x, y, yaw = pose
         c, s = math.cos(yaw), math.sin(yaw)
@@ -194,13 +184,29 @@ class Kind(ABC):
 
     @abstractmethod
     def carry_out(self, attempt: Attempt, pose: Pose) -> Grip | Pinch | None:
-        """Carry out an action; raises AttemptFailed where it fails.
+        """Carry out an action: what its success leaves in the hands for a next step; AttemptFailed where it fails."""
 
-        Returns
-        -------
-        Grip, Pinch or None
-            What this success leaves in the hands for the next step, if there is one.
-        """
+    def approach(self, attempt: Attempt, pose: Pose, low_m: float, path: JointPath) -> None:
+        """Put one hand at rest where ``path`` begins, at ``low_m``, or above the target and move it down from there."""
+        p, situation, (hand,) = attempt.parameters, attempt.situation, attempt.hands
+        (x, y, yaw), (opening,) = pose, self.openings(situation, False, p)
+        start = low_m
+        if not clear_of_target(situation, self.footprint(situation, p), pose, CLEAR_M):
+            start = self.start_height(situation, p.approach_clearance_m)
+        if start <= low_m:
+            hand.arm.reset(path.positions[0], opening)
+            self.take(attempt, pose, start)
+            return
+        fall = profile(start - low_m, p.descend_speed_m_s, attempt.tick_s, p.ramp_share)
+        ends = (x, y, start), (x, y, low_m)
+        down = line(hand.arm.base, *ends, yaw, fall, attempt.tick_s, self.symmetric, p)
+        down.positions[:, 6] += path.positions[0, 6] - down.positions[-1, 6]  # the same turn of joint 7
+        hand.arm.reset(down.positions[0], opening)
+        self.take(attempt, pose, start)
+        attempt.descend([down])
+
+    def take(self, attempt: Attempt, pose: Pose, height_m: float) -> None:  # noqa: B027 - most kinds hold nothing
+        """Put into the hand what it holds."""
 
     @abstractmethod
     def goal(self, p: WorldParameters) -> str:
@@ -233,16 +239,7 @@ class Kind(ABC):
     def candidates(
         self, target: Placement, valid: Flags, rng: np.random.Generator, p: WorldParameters
     ) -> Iterator[int]:
-        """Grid actions of the privileged reference policy, the best first; none where it has no part.
-
-        Parameters
-        ----------
-        target : Placement
-        valid : bool (65536,)
-            By grid index.
-        rng : numpy.random.Generator
-        p : WorldParameters
-        """
+        """Grid actions of the privileged reference policy, the best first; ``valid`` is bool (65536,) by grid index."""
         return iter(())
 
 
@@ -258,6 +255,11 @@ class GraspKind(Kind):
     @abstractmethod
     def success_lift_m(self, p: WorldParameters) -> float:
         """How high the target has to be."""
+
+    def dropped(self, attempt: Attempt) -> AttemptFailed:
+        """The failure of a target that is not held any more: by how far it was lifted."""
+        lifted = attempt.evidence.lift_m > attempt.parameters.slip_lift_m
+        return AttemptFailed(Failure.SLIPPED if lifted else Failure.NOT_LIFTED)
 
     def goal(self, p: WorldParameters) -> str:
         return (
@@ -296,7 +298,7 @@ class PushKind(Kind):
             attempt.step(POLL_EVERY)
 
     def check_moved(self, attempt: Attempt, start_x_m: float) -> None:
-        """Success is a displacement of at least 10 cm in +x, at the end, with every tool still in hand."""
+        """Fail the attempt unless the target moved far enough in +x and every tool is still in hand."""
         moved = attempt.world.pose(attempt.target)[0] - start_x_m
         attempt.note(displacement_m=moved)
         if not attempt.tools_held():

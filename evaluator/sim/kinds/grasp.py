@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from evaluator.sim.attempt import CLEAR_M, POLL_EVERY, Attempt, AttemptFailed, relative
-from evaluator.sim.footprints import clear_of_target, finger_footprint
+from evaluator.sim.footprints import finger_footprint
 from evaluator.sim.kinds.base import Flags, GraspKind
 from evaluator.sim.motion import line, profile
 from evaluator.sim.parameters import WorldParameters
@@ -53,21 +53,12 @@ class Grasp(GraspKind):
         p, world, (hand,) = attempt.parameters, attempt.world, attempt.hands
         situation, tick = attempt.situation, attempt.tick_s
         x, y, yaw = pose
-        start = low = p.grasp_height_m
-        if not clear_of_target(situation, self.footprint(situation, p), pose, CLEAR_M):
-            start = self.start_height(situation, p.approach_clearance_m)
+        low = p.grasp_height_m
         lift = profile(p.lift_height_m, p.lift_speed_m_s, tick, p.ramp_share)
         up = line(hand.arm.base, (x, y, low), (x, y, low + p.lift_height_m), yaw, lift, tick, self.symmetric, p)
         if not up.reachable:
             raise AttemptFailed(Failure.UNREACHABLE)
-        if start > low:
-            shares = profile(start - low, p.descend_speed_m_s, tick, p.ramp_share)
-            down = line(hand.arm.base, (x, y, start), (x, y, low), yaw, shares, tick, self.symmetric, p)
-            hand.arm.reset(down.positions[0], p.opening_max_m)
-            attempt.descend([down])
-        else:
-            hand.arm.reset(up.positions[0], p.opening_max_m)
-
+        self.approach(attempt, pose, low, up)
         _close(attempt)
         if hand.arm.fingers()[0] < p.empty_opening_m:
             raise AttemptFailed(Failure.NOT_LIFTED if attempt.evidence.contact_steps else Failure.MISSED)
@@ -81,10 +72,10 @@ class Grasp(GraspKind):
                 attempt.note_lift(rest_z)
                 lost = 0 if attempt.touched() else lost + 1
                 if lost * POLL_EVERY == p.lost_steps:  # out of a rising hand's reach for good
-                    raise _dropped(attempt)
+                    raise self.dropped(attempt)
         attempt.step(p.hold_steps)
         if attempt.note_lift(rest_z) < p.grasp_success_lift_m or not attempt.touched():
-            raise _dropped(attempt)
+            raise self.dropped(attempt)
         if situation.last:
             return None
         if world.tilt(attempt.target) > p.max_tool_tilt_rad:
@@ -129,8 +120,3 @@ def _close(attempt: Attempt) -> None:
         still = still + 1 if hand.arm.fingers()[1] < p.finger_still_m_s else 0
         if still == 3:
             return
-
-
-def _dropped(attempt: Attempt) -> AttemptFailed:
-    lifted = attempt.evidence.lift_m > attempt.parameters.slip_lift_m
-    return AttemptFailed(Failure.SLIPPED if lifted else Failure.NOT_LIFTED)

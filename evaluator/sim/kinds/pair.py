@@ -1,7 +1,7 @@
 """Two arms that move as one: mirrored paths, and a squeeze held by feeling the contact force.
 
-A fixed squeeze distance would let the force die away (position-controlled arms give way), so every control tick moves
-both hands together or apart by a small correction until the weaker side presses with the wanted force.
+With a fixed squeeze distance the force would die away, since position-controlled arms give way. So every control tick
+moves both hands together or apart by a small correction, towards a target force of the weaker side.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def pair_path(
     Parameters
     ----------
     way : float64 (n + 1, 3)
-        World positions of the pair's origin; z is added to ``heights``.
+        World positions of the pair's origin.
     theta : float
         Yaw of the pair.
     distances : float or float64 (n + 1,), for each hand
@@ -101,14 +101,7 @@ def command(attempt: Attempt, path: PairPath, row: int, inwards_m: float, moving
 
 @dataclass(slots=True)
 class Squeeze:
-    """The force loop: how far the hands have been moved together so far.
-
-    Attributes
-    ----------
-    body : int
-        What is squeezed.
-    inwards_m : float
-    """
+    """The force loop: the body that is squeezed, and how far the hands have been moved together so far."""
 
     body: int
     inwards_m: float = 0.0
@@ -169,13 +162,7 @@ class TwoArms(Kind):
         return 0.75 * half_short, 1.25 * half_long + p.pair_open_m
 
     def lower(self, attempt: Attempt, pose: Pose, start_m: float, path: PairPath) -> PairPath | None:
-        """Put the pair with its sticks ``start_m`` above the first row of ``path``, at rest.
-
-        Returns
-        -------
-        PairPath or None
-            The way down to that row; None where the pair already stands there.
-        """
+        """Put the pair with its sticks ``start_m`` above the first row of ``path``, at rest; returns the way down."""
         p, situation = attempt.parameters, attempt.situation
         down = None
         if start_m > 0.0:

@@ -96,15 +96,12 @@ class Pincer(TwoArms, GraspKind):
             squeeze.carry(attempt, up, Failure.NOT_LIFTED, lambda: attempt.note_lift(rest_z))
             squeeze.hold(attempt, up, len(lift) - 1, p.hold_steps)
         except AttemptFailed as failed:
-            if failed.failure is Failure.NOT_LIFTED and attempt.evidence.lift_m > p.slip_lift_m:
-                raise AttemptFailed(Failure.SLIPPED) from None
-            raise
+            raise self.dropped(attempt) if failed.failure is Failure.NOT_LIFTED else failed from None
         height = world.pose(attempt.target)[2] - rest_z
         if not attempt.tools_held():
             raise AttemptFailed(Failure.TOOL_LOST)
         if height < p.pair_success_lift_m or min(squeeze.forces(attempt)) <= 0:
-            lifted = attempt.evidence.lift_m > p.slip_lift_m
-            raise AttemptFailed(Failure.SLIPPED if lifted else Failure.NOT_LIFTED)
+            raise self.dropped(attempt)
         if situation.last:
             return None
         if world.tilt(attempt.target) > p.max_tool_tilt_rad:

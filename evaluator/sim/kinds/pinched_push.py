@@ -56,7 +56,7 @@ class PinchedPush(TwoArms, PushKind):
         ]
 
     def can_touch(self, situation: Situation, pose: Pose, p: WorldParameters) -> bool:
-        """Always simulated: the pinch may be lost on the way, and that label is not known beforehand."""
+        """Always true: the pinch may be lost on the way, which only a simulation shows."""
         return True
 
     def carry_out(self, attempt: Attempt, pose: Pose) -> None:

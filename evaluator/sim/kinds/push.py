@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from evaluator.sim.attempt import CLEAR_M, POLL_EVERY, Attempt, AttemptFailed
-from evaluator.sim.footprints import clear_of_target
 from evaluator.sim.kinds.base import PushKind
 from evaluator.sim.motion import line, profile
 from evaluator.sim.parameters import WorldParameters
@@ -48,26 +47,13 @@ class Push(PushKind):
         p, world, (hand,) = attempt.parameters, attempt.world, attempt.hands
         situation, tick = attempt.situation, attempt.tick_s
         x, y, yaw = pose
-        (opening,), low = self.openings(situation, False, p), self.low_m(situation, p)
+        low = self.low_m(situation, p)
         shares = profile(p.push_distance_m, self.speed_m_s(p), tick, p.ramp_share)
         ends = (x, y, low), (x + p.push_distance_m, y, low)
         across = line(hand.arm.base, *ends, yaw, shares, tick, self.symmetric, p)
         if not across.reachable:
             raise AttemptFailed(Failure.UNREACHABLE)
-        start = low
-        if not clear_of_target(situation, self.footprint(situation, p), pose, CLEAR_M):
-            start = self.start_height(situation, p.approach_clearance_m)
-        if start > low:
-            fall = profile(start - low, p.descend_speed_m_s, tick, p.ramp_share)
-            down = line(hand.arm.base, (x, y, start), (x, y, low), yaw, fall, tick, self.symmetric, p)
-            down.positions[:, 6] += across.positions[0, 6] - down.positions[-1, 6]
-            hand.arm.reset(down.positions[0], opening)
-            self.take(attempt, pose, start)
-            attempt.descend([down])
-        else:
-            hand.arm.reset(across.positions[0], opening)
-            self.take(attempt, pose, start)
-
+        self.approach(attempt, pose, low, across)
         start_x = world.pose(attempt.target)[0]
         for row in range(len(across.velocities)):
             attempt.command([across], row)
@@ -76,6 +62,3 @@ class Push(PushKind):
                 attempt.touched()
         self.settle(attempt)
         self.check_moved(attempt, start_x)
-
-    def take(self, attempt: Attempt, pose: Pose, height_m: float) -> None:
-        """Put into the hand what it holds: nothing."""

@@ -216,7 +216,7 @@ def leave_litter(work: Path) -> None:
 
 
 @pytest.mark.parametrize("harm", [damage_file, lose_file, tear_log, forget_log, leave_litter])
-def test_only_what_the_log_vouches_for_is_kept(tmp_path: Path, finished: ReleaseFolder, harm: Any) -> None:
+def test_only_chunks_in_the_log_are_kept(tmp_path: Path, finished: ReleaseFolder, harm: Any) -> None:
     plan = write_plan(tmp_path)
     harm(interrupted(plan, tmp_path, 8))
     assert tree(collect_fake(plan, tmp_path).release.path) == tree(finished.path)
@@ -291,7 +291,7 @@ def test_a_policy_that_gives_no_action_is_named(tmp_path: Path) -> None:
     assert caught.value.facts["episode"] == 0
 
 
-def test_a_policy_that_cannot_be_loaded_is_known_at_once(tmp_path: Path) -> None:
+def test_a_policy_that_cannot_be_loaded_is_reported_first(tmp_path: Path) -> None:
     @contextmanager
     def broken(spec: Any, *_: Any) -> Any:
         if spec.name == "scripted":  # it plays in the second round only

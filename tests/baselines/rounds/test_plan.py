@@ -86,7 +86,7 @@ def test_a_task_can_have_its_own_values(tmp_path: Path) -> None:
         ('policy = "scripted"', "reuse = true", "rounds[2].picks"),
     ],
 )
-def test_what_is_wrong_is_named(tmp_path: Path, old: str, new: str, key: str) -> None:
+def test_errors_name_the_field(tmp_path: Path, old: str, new: str, key: str) -> None:
     path = write_plan(tmp_path, **{old: new + "\n"})
     with pytest.raises((InputError, MissingFileError)) as caught:
         load_plan(path)
@@ -105,7 +105,7 @@ def test_reuse_needs_a_parent_and_something_to_collect(tmp_path: Path) -> None:
         load_plan(write_plan(tmp_path, 'parent = "older"\n' + head + "[[rounds]]\nreuse = 1\n"))
 
 
-def test_a_file_that_is_no_plan(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_plan(tmp_path: Path) -> None:
     with pytest.raises(MissingFileError, match="no plan"):
         load_plan(tmp_path / "gone.toml")
     with pytest.raises(InputError, match="is a folder"):
@@ -118,7 +118,7 @@ def test_a_file_that_is_no_plan(tmp_path: Path) -> None:
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(0, len(PLAN)), st.integers(0, 30), st.text(alphabet='[]{}="\n a1.,', max_size=8))
-def test_no_edit_makes_a_plan_raise_anything_else(tmp_path: Path, at: int, cut: int, text: str) -> None:
+def test_every_edit_of_a_plan_raises_only_our_errors(tmp_path: Path, at: int, cut: int, text: str) -> None:
     (tmp_path / "edited.toml").write_text(PLAN[:at] + text + PLAN[at + cut :])
     with suppress(RemaError):
         plan = load_plan(tmp_path / "edited.toml")

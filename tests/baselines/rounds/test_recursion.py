@@ -166,7 +166,7 @@ def test_rounds_that_are_reused_come_first(tmp_path: Path) -> None:
         load_recursion(written(tmp_path, older, (second, f"[[rounds]]\nreuse = true\n\n{second}")))
 
 
-def test_networks_of_another_recursion_are_there_before_anything_is_done(tmp_path: Path) -> None:
+def test_networks_of_another_recursion_are_checked_first(tmp_path: Path) -> None:
     older = ("seed = 1", 'seed = 1\nbegins_with = "older"')
     plan = load_recursion(written(tmp_path, older, ("tiny-recursion/round-2", "older/round-2")))
     with pytest.raises(MissingFileError, match="no networks older/round-2") as caught:
@@ -207,7 +207,7 @@ def test_networks_that_ship_are_asked_for_where_a_plan_names_none(
         load_recursion(plain)
 
 
-def test_a_release_of_another_plan_is_not_taken_for_done(tmp_path: Path) -> None:
+def test_a_release_of_another_plan_does_not_count_as_done(tmp_path: Path) -> None:
     small = written(tmp_path, ("{ train = 200, val = 80 }", "{ train = 9, val = 3 }"))
     assert [stage.already for stage in first(1, recurse(load_recursion(small), tmp_path / "out", workers=1))] == [False]
     with pytest.raises(RunMismatchError, match="other episodes"):

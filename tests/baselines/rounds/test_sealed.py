@@ -98,7 +98,7 @@ def test_the_published_rounds_are_those_of_their_plan() -> None:
         check_sealed(plan, entry, ReleaseFolder(parse_manifest(path.read_bytes(), str(path)), releases))
 
 
-def test_no_note_is_lost_between_two_that_write(tmp_path: Path) -> None:
+def test_two_writers_lose_no_note(tmp_path: Path) -> None:
     path = tmp_path / "networks" / "stages.json"
     with ThreadPoolExecutor(6) as pool:
         list(pool.map(lambda n: note(path, f"train {n}", {"seconds": n}), range(40)))

@@ -105,6 +105,6 @@ def test_a_card_that_cannot_be_used(saved: Path, change: object, kind: type[Exce
     assert str(saved.parent) in str(caught.value)
 
 
-def test_no_network_at_all(tmp_path: Path) -> None:
+def test_a_missing_network(tmp_path: Path) -> None:
     with pytest.raises(MissingFileError, match="no checkpoint"):
         networks_in(tmp_path)

@@ -45,7 +45,7 @@ def test_maps_come_out_in_the_scene_s_pixels(architecture: Architecture) -> None
 @pytest.mark.parametrize(
     "values", [{"width": 6}, {"ee_stride": 3}, {"correlation_scale": "half"}, {"up_align_corners": 1}, {"depth": 3}]
 )
-def test_what_makes_no_network_is_refused(values: dict[str, object]) -> None:
+def test_impossible_architectures_are_refused(values: dict[str, object]) -> None:
     with pytest.raises(InputError) as caught:
         Architecture.from_dict(values)
     assert caught.value.hint

@@ -58,14 +58,14 @@ def test_a_configuration_survives_json() -> None:
         ({"architecture": {"depth": 8}}, "architecture.depth is not a known field"),
     ],
 )
-def test_what_cannot_be_trained(values: dict[str, Any], words: str) -> None:
+def test_impossible_configurations_are_refused(values: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=words) as caught:
         validated(TrainingConfig, {"primitive": "grasp", "tasks": ["grasp"], **values}, "plan.toml")
     assert caught.value.hint and caught.value.message.startswith("plan.toml: ")
 
 
 @pytest.mark.parametrize("missing", ["primitive", "tasks"])
-def test_what_is_missing_is_named(missing: str) -> None:
+def test_missing_fields_are_named(missing: str) -> None:
     values = {"primitive": "grasp", "tasks": ["grasp"]}
     del values[missing]
     with pytest.raises(InputError, match=f"{missing} is missing"):

@@ -73,7 +73,7 @@ def test_translation_moves_the_label_with_the_scene(release: rema_data.Release, 
 def test_a_skill_without_a_success(tmp_path: Path) -> None:
     made = make_release(tmp_path, tasks=("grasp",), episodes=6, success=0.0)
     release = rema_data.Release(made, cache="memory")
-    for on_empty in ("raise", "renormalise"):  # nothing at all to tell apart is of no use either way
+    for on_empty in ("raise", "renormalise"):  # a single label is of no use either way
         with pytest.raises(InputError, match="no success") as caught:
             open_data(release, TrainingConfig("grasp", ("grasp",), on_empty=on_empty))  # type: ignore[arg-type]
         assert "collect more" in caught.value.hint
@@ -106,7 +106,7 @@ def test_a_validation_split_without_a_success(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [None, b"PAR1"])
-def test_nothing_is_trained_where_nobody_can_tell_what_is_tested(
+def test_training_needs_readable_scenario_lists(
     release: rema_data.Release, config: TrainingConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: Any
 ) -> None:
     (tmp_path / "scenarios" / "v1").mkdir(parents=True)
@@ -117,7 +117,7 @@ def test_nothing_is_trained_where_nobody_can_tell_what_is_tested(
         open_data(release, config)
 
 
-def test_a_scenario_that_is_tested_is_never_trained_on(tmp_path: Path) -> None:
+def test_test_scenarios_are_never_trained_on(tmp_path: Path) -> None:
     """One scene of the frozen test list, hidden in a training block."""
     key = BlockKey(1, "grasp", "train")
     episodes = [synthetic_episode(key, n) for n in range(8)]

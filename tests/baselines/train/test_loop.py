@@ -134,7 +134,7 @@ def test_a_finished_training_is_not_repeated(
 
 
 @pytest.mark.parametrize(("losses", "best"), [((0.3, 0.1, 0.2), 6), ((0.1, 0.2, 0.3), 3)])
-def test_of_weights_that_are_equal_by_auc_the_surer_are_kept(
+def test_between_weights_of_equal_auc_the_loss_decides(
     release: rema_data.Release,
     config: TrainingConfig,
     tmp_path: Path,
@@ -148,7 +148,7 @@ def test_of_weights_that_are_equal_by_auc_the_surer_are_kept(
     assert train(release, config, tmp_path, "grasp").checkpoint.updates == best
 
 
-def test_the_card_has_the_skills_that_there_were(
+def test_the_card_has_the_skills_of_the_data(
     release: rema_data.Release, config: TrainingConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Not those that were asked for, and of which no episode reached the step."""
@@ -158,7 +158,7 @@ def test_the_card_has_the_skills_that_there_were(
     assert train(release, asked, tmp_path, "grasp").checkpoint.skills == ("grasp",)
 
 
-def test_a_training_is_not_taken_up_by_other_code(
+def test_other_code_does_not_resume_a_training(
     release: rema_data.Release, config: TrainingConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(Interruption):
@@ -178,7 +178,7 @@ def test_a_state_of_another_training_is_refused(
 
 
 @pytest.mark.parametrize(("at", "kept"), [(2, False), (5, True)])
-def test_a_loss_that_is_no_number(
+def test_a_loss_that_is_not_finite(
     release: rema_data.Release,
     config: TrainingConfig,
     tmp_path: Path,
@@ -211,7 +211,7 @@ def test_a_loss_that_is_no_number(
 @pytest.mark.parametrize(
     ("part", "words"), [("weight", "left weights that are"), ("answers", "validation steps is not")]
 )
-def test_losses_that_are_numbers_of_a_network_that_is_none(
+def test_finite_losses_of_a_network_that_is_not_finite(
     release: rema_data.Release,
     config: TrainingConfig,
     tmp_path: Path,
@@ -256,7 +256,7 @@ def test_threads_are_in_the_card(
 
 
 def test_two_trainings_of_one_name(release: rema_data.Release, config: TrainingConfig, tmp_path: Path) -> None:
-    """The second one is told who is there, and leaves the first one alone."""
+    """The message names the first process, which goes on undisturbed."""
 
     def begun_again(update: int) -> None:
         if update == 4:
@@ -268,7 +268,7 @@ def test_two_trainings_of_one_name(release: rema_data.Release, config: TrainingC
     assert not (tmp_path / ".grasp.training").exists()
 
 
-def test_what_a_kill_left_of_a_finished_training_goes(
+def test_state_left_by_a_kill_after_the_end_is_removed(
     release: rema_data.Release, config: TrainingConfig, undisturbed: Path, tmp_path: Path
 ) -> None:
     shutil.copytree(undisturbed, tmp_path / "out")

@@ -22,11 +22,11 @@ def test_auc_is_the_share_of_pairs_in_order() -> None:
     rng = np.random.default_rng(0)
     logit, success = rng.normal(size=60).round(1), rng.random(60) < 0.3
     won, lost = logit[success][:, None], logit[~success][None]
-    wanted = ((won > lost) + 0.5 * (won == lost)).mean()
-    assert score(logit, success, np.array(["push"] * 60))["auc"] == pytest.approx(wanted)
+    expected = ((won > lost) + 0.5 * (won == lost)).mean()
+    assert score(logit, success, np.array(["push"] * 60))["auc"] == pytest.approx(expected)
 
 
-def test_skills_count_alike_whatever_their_size() -> None:
+def test_skills_count_equally_at_any_size() -> None:
     success = np.array([True, False] * 50 + [True, False])
     skills = np.array(["grasp"] * 100 + ["grasp_grasp"] * 2)
     logit = np.where(success, 1.0, -1.0)
@@ -36,7 +36,7 @@ def test_skills_count_alike_whatever_their_size() -> None:
     assert measures["skills"]["grasp_grasp"] == {"successes": 1, "failures": 1, "auc": 0.0, "balanced_accuracy": 0.0}
 
 
-def test_a_skill_without_both_labels_tells_nothing() -> None:
+def test_a_skill_without_both_labels_is_left_out_of_the_means() -> None:
     success = np.array([True, False] * 50 + [False] * 3)
     skills = np.array(["grasp"] * 100 + ["grasp_grasp"] * 3)
     measures = score(np.where(success, 1.0, -1.0), success, skills)
@@ -51,7 +51,7 @@ def test_calibration_does_not_depend_on_how_many_of_each_label_there_are() -> No
     assert measures["calibration_error"] == pytest.approx(0.0)
 
 
-def test_sure_and_wrong() -> None:
+def test_confident_wrong_answers() -> None:
     success = np.array([True, False] * 20)
     measures = score(np.full(40, 6.0), success, np.array(["grasp"] * 40))
     assert measures["calibration_error"] == pytest.approx(0.5, abs=0.01)

@@ -55,7 +55,7 @@ def test_every_task_has_an_environment() -> None:
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_gymnasiums_own_checker_is_content(task: str) -> None:
+def test_gymnasiums_own_checker_passes(task: str) -> None:
     """Its warnings are errors here."""
     from gymnasium.utils.env_checker import check_env
 
@@ -146,7 +146,7 @@ def test_the_test_list_is_met_only_by_name() -> None:
     assert len(names) > 5 and all(name.startswith(f"{VERSION}/push/val/") for name in names)
 
 
-def test_nothing_is_told_before_the_step() -> None:
+def test_info_has_no_outcome_before_the_step() -> None:
     environment = made("grasp", domain="val")
     observation, info = environment.reset(seed=1)
     assert info == {"scenario": info["scenario"], "primitive": "grasp", "embodiment": "gripper"}
@@ -165,7 +165,7 @@ def test_an_invalid_action_is_a_policy_error() -> None:
 
 
 @pytest.mark.parametrize("action", [-1, 65_536, 1.5, [3], "4"])
-def test_what_is_no_action(action: Any) -> None:
+def test_values_that_are_not_actions(action: Any) -> None:
     environment = TaskEnv("grasp")
     environment.reset(seed=1)
     with pytest.raises(InputError, match="not an action"):
@@ -223,7 +223,7 @@ def test_pictures_before_and_after(task: str) -> None:
 @pytest.mark.parametrize(
     "changes", [{"protocol": "odd"}, {"domain": "tests"}, {"render_mode": "human"}, {"task": "stack"}]
 )
-def test_what_cannot_be_made(changes: dict[str, Any]) -> None:
+def test_impossible_environments(changes: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="unknown"):
         TaskEnv(**{"task": "grasp", **changes})
 

@@ -1,4 +1,4 @@
-"""Episodes played again: the same outcomes as without a camera, step by step, and what is shown of them."""
+"""Filmed episodes: the same outcomes as without a camera, step by step, and what the pictures show."""
 
 from __future__ import annotations
 
@@ -76,13 +76,13 @@ def test_an_end_to_end_episode_is_played_up_to_its_last_step(
     assert end - start == pytest.approx(take.outcome.displacement_m, abs=2e-3)
 
 
-def test_an_episode_stops_where_it_now_goes_another_way(films: FilmMaker, picked: tuple[int, StepOutcome]) -> None:
+def test_an_episode_stops_where_it_differs(films: FilmMaker, picked: tuple[int, StepOutcome]) -> None:
     beside = int(grid.encode(50, 50, 0))
     row = recorded([(beside, picked[1]), (beside, StepOutcome(True, None))])
     take = played_again(films, row)
     assert take.situation.step == 0 and take.outcome.failure is Failure.MISSED
     assert agreement(row, take) == "different"
-    assert take.shots  # a miss is clear without simulation, but is shown all the same
+    assert take.shots  # a miss needs no simulation, but is shown, too
 
 
 def test_where_no_arm_can_move_there_is_only_a_before(films: FilmMaker) -> None:
@@ -92,7 +92,7 @@ def test_where_no_arm_can_move_there_is_only_a_before(films: FilmMaker) -> None:
     assert take.before.bodies
 
 
-def test_other_digits_are_told_from_another_ending(picked: tuple[int, StepOutcome]) -> None:
+def test_other_digits_and_another_label_are_distinguished(picked: tuple[int, StepOutcome]) -> None:
     action, outcome = picked
     row = recorded([(action, outcome)])
     situation = Situation("grasp_push", 0, SCENARIO.placements[0])

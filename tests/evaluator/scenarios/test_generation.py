@@ -73,7 +73,7 @@ def test_a_list_that_no_manifest_names_is_drawn_again(manifests: Path, monkeypat
     assert len(load_list("grasp", version="a").scenarios) == 2 and len(load_list("grasp", "val", "a").scenarios) == 1
 
 
-def test_a_list_that_is_gone_comes_back_only_as_it_was(manifests: Path) -> None:
+def test_a_deleted_list_is_only_restored_with_the_same_bytes(manifests: Path) -> None:
     path = draw("a", ("grasp",), {"test": 2, "val": 1}, 1)
     file = path.with_name("grasp_test.parquet")
     before, named = file.read_bytes(), path.read_bytes()
@@ -100,7 +100,9 @@ def test_a_list_is_named_where_it_lies(manifests: Path, tmp_path: Path, monkeypa
     assert load_list("push", version="new").scenarios == load_list("push", version="old").scenarios
 
 
-def test_what_a_picker_prints_is_not_frozen(manifests: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_output_of_a_picker_does_not_change_the_lists(
+    manifests: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("REMA_HOME", str(tmp_path / "home"))
     code = tmp_path / "pickers.py"
     code.write_text(PICKERS)
@@ -113,7 +115,7 @@ def test_what_a_picker_prints_is_not_frozen(manifests: Path, tmp_path: Path, mon
 
 
 def test_a_list_can_be_kept(manifests: Path) -> None:
-    """A version may draw some tasks anew and name the lists in force of others."""
+    """A version may draw new lists for some tasks and name the present lists of others."""
     draw(VERSION, ("grasp", "push"), {"test": 2, "val": 1}, 1)
     path = draw("a", ("grasp",), {"test": 3, "val": 1}, 1, keep=("push",))
     entries = json.loads(path.read_text())["lists"]
@@ -144,7 +146,7 @@ class Hopeless(Clumsy):
 
 
 def test_tools_that_a_policy_picked(manifests: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever the number of workers; objects that it cannot pick are drawn again, and the manifest says who picked."""
+    """With any number of workers; objects that it cannot pick are drawn again, and the manifest names the policy."""
     code = tmp_path / "pickers.py"
     code.write_text(PICKERS)
     draw(VERSION, ("push",), {"test": 2, "val": 1}, 1)

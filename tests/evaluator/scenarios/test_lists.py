@@ -54,7 +54,7 @@ def test_damage_is_noticed(fake_home: Path) -> None:
         load_list("grasp")
 
 
-def test_absence_is_said_with_a_remedy(fake_home: Path) -> None:
+def test_a_missing_list_is_reported_with_its_fix(fake_home: Path) -> None:
     path = fake_home / "manifests" / "scenarios" / VERSION / "grasp_test.parquet"
     path.unlink()
     with pytest.raises(MissingFileError) as caught:

@@ -105,7 +105,7 @@ def point_cloud(client: Any, camera: Camera, bodies: Collection[int]) -> Cloud:
         renderer=pybullet.ER_TINY_RENDERER,
     )
     label = np.asarray(segments).reshape(size, size)
-    # the background is -1, which is no body
+    # the background is -1, which is not a body
     row, column = np.nonzero(np.isin(np.where(label < 0, -1, label & _BODY_BITS), list(bodies)))
     label = label[row, column]
     buffer = np.asarray(depth, np.float64).reshape(size, size)[row, column]
@@ -194,10 +194,10 @@ def _capture_state(
     return _fuse(world, {*arms, *bodies}, allowed)
 
 
-def _fuse(world: World, wanted: set[int], allowed: set[tuple[int, int]]) -> tuple[Array, Array]:
+def _fuse(world: World, bodies: set[int], allowed: set[tuple[int, int]]) -> tuple[Array, Array]:
     """Depth and mask of some bodies from the clouds of all four cameras."""
     cameras = end_effector_cameras((0.0, 0.0, CAPTURE_HEIGHT_M))
-    clouds = [point_cloud(world.client, camera, wanted) for camera in cameras]
+    clouds = [point_cloud(world.client, camera, bodies) for camera in cameras]
     points = np.concatenate([cloud.points for cloud in clouds])
     body, link = (np.concatenate([cloud[n] for cloud in clouds]) for n in (1, 2))
     pieces = sorted(set(zip(body.tolist(), link.tolist(), strict=True)))

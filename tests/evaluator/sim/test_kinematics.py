@@ -10,10 +10,14 @@ import pytest
 from evaluator.sim.kinds import KINDS
 from evaluator.sim.kinematics import (
     LIMITS_RAD,
+    LOWER_M,
+    SHOULDER_M,
+    UPPER_M,
+    WRIST_M,
+    Array,
+    Base,
     base_of,
     joint_limits,
-    joint_points,
-    segment_distance,
     solve,
     solve_path,
 )
@@ -82,6 +86,38 @@ def test_arms_are_chosen_by_reach() -> None:
     assert [acting_arm("grasp_grasp", step, middle) for step in range(3)] == ["left", "right", "both"]
     assert acting_arm("grasp_grasp", 2, grid.encode(30, 30, 9)) is None
     assert acting_arm("grasp", 0, grid.encode(0, 30, 0)) is None
+
+
+def joint_points(base: Base, joints: Array) -> Array:
+    """Shoulder, elbow, wrist and flange of an arm, float64 (4, ..., 3), world frame, for joints of ``solve``."""
+    heading = joints[..., 0] + base.yaw_rad
+    lean = joints[..., 1]
+    radii = [np.zeros_like(lean), UPPER_M * np.sin(lean)]
+    heights = [np.full_like(lean, base.z_m + SHOULDER_M), base.z_m + SHOULDER_M + UPPER_M * np.cos(lean)]
+    reach = lean - joints[..., 3]
+    radii.append(radii[1] + LOWER_M * np.sin(reach))
+    heights.append(heights[1] + LOWER_M * np.cos(reach))
+    radii.append(radii[2])
+    heights.append(heights[2] - WRIST_M)
+    return np.stack(
+        [
+            np.stack([base.x_m + r * np.cos(heading), base.y_m + r * np.sin(heading), h], axis=-1)
+            for r, h in zip(radii, heights, strict=True)
+        ]
+    )
+
+
+def segment_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
+    """Smallest distance between segments a and b, float64 (...,), for end points (..., 3)."""
+    u, v, w = a1 - a0, b1 - b0, a0 - b0
+    uu, uv, vv = (u * u).sum(-1), (u * v).sum(-1), (v * v).sum(-1)
+    uw, vw = (u * w).sum(-1), (v * w).sum(-1)
+    denominator = uu * vv - uv * uv
+    safe = np.where(denominator > 1e-12, denominator, 1.0)
+    s = np.clip(np.where(denominator > 1e-12, (uv * vw - vv * uw) / safe, 0.0), 0, 1)
+    t = np.clip((uv * s + vw) / vv, 0, 1)
+    s = np.clip((uv * t - uw) / uu, 0, 1)
+    return np.asarray(np.linalg.norm(w + s[..., None] * u - t[..., None] * v, axis=-1))
 
 
 def test_two_arms_keep_clear_of_each_other() -> None:

@@ -45,7 +45,7 @@ def test_the_order_of_the_family_does_not_matter(p_values: list[float], random: 
 
 
 @pytest.mark.parametrize("bad", [-0.1, 1.5, float("nan")])
-def test_values_that_are_no_p_values(bad: float) -> None:
+def test_values_that_are_not_p_values(bad: float) -> None:
     for adjust in (holm, benjamini_hochberg):
         with pytest.raises(InputError):
             adjust([0.5, bad])

@@ -25,7 +25,7 @@ def test_the_table_counts_pairs() -> None:
     assert (table.difference, table.discordance) == (pytest.approx(1 / 6), 0.5)
 
 
-def test_pairs_that_are_none() -> None:
+def test_impossible_tables() -> None:
     with pytest.raises(InputError):
         pair_table(np.ones(3, bool), np.ones(4, bool))
     with pytest.raises(InputError):

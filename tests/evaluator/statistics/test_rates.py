@@ -66,7 +66,7 @@ def test_wilson_covers_about_what_it_says(rate: float, n: int) -> None:
     assert 0.935 < covered < 0.97
 
 
-def test_no_episode_knows_nothing() -> None:
+def test_without_an_episode_the_interval_is_everything() -> None:
     assert wilson(0, 0) == clopper_pearson(0, 0) == rate_interval(0, 0) == (0.0, 1.0)
     assert format_rate(0, 0) == "-"
 
@@ -107,7 +107,7 @@ def test_bounds_of_nothing() -> None:
 
 
 @pytest.mark.parametrize(("successes", "n", "confidence"), [(-1, 5, 0.95), (6, 5, 0.95), (1, 5, 0.0), (1, 5, 95.0)])
-def test_counts_that_cannot_be(successes: int, n: int, confidence: float) -> None:
+def test_impossible_counts(successes: int, n: int, confidence: float) -> None:
     with pytest.raises(InputError):
         wilson(successes, n, confidence)
 

@@ -149,7 +149,7 @@ def test_the_ends_of_a_rate_are_where_the_mixture_has_twenty_times_the_likelihoo
             assert float(betaln(successes + 1, failures + 1)) - likelihood == pytest.approx(LIMIT, abs=1e-4)
 
 
-def test_arguments_that_cannot_be() -> None:
+def test_arguments_out_of_range() -> None:
     for call in (
         lambda: QuickLook(alpha=0.0),
         lambda: rate_sequence(5, 4),
