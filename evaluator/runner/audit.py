@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from evaluator.engines import Job
+from evaluator.protocol import AUDIT_LEAST
 from evaluator.rollout.ask import record_answers
 from evaluator.rollout.backend import Backend, PolicyProcess
 from evaluator.run.plan import Plan
@@ -26,8 +27,6 @@ from rema_data.schema import Situation, StepOutcome
 
 __all__ = ["Repeat", "ask_again", "audit_summary", "jobs_again", "repeats"]
 
-LEAST_EPISODES = 30
-"""Repeated even where the share gives fewer."""
 _BATCHES = (24, 40)
 """Observations in one question: the first of these that is not the run's own batch size."""
 _KEY = b"rema audit v1"
@@ -47,7 +46,7 @@ def repeats(plan: Plan, ledger: Records, share: float) -> list[Repeat]:
     """Every step of a share of the measured episodes, drawn by a fixed hash, in the order of that hash."""
     measured = [s.index for s in plan.scenarios if verdict(s.index, plan.steps, ledger).success is not None]
     ranked = sorted(measured, key=_rank)
-    chosen = set(ranked[: max(LEAST_EPISODES, math.ceil(share * len(measured)))] if share else ())
+    chosen = set(ranked[: max(AUDIT_LEAST, math.ceil(share * len(measured)))] if share else ())
     found = []
     for step in plan.steps:
         alive = plan.alive(step, ledger)

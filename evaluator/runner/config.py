@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from evaluator.engines import check_engine
-from evaluator.protocol import PROTOCOLS
+from evaluator.protocol import AUDIT_SHARE, MAX_BATCH, PROTOCOLS
 from rema_data.errors import InputError
 from rema_data.schema import check_task
 
@@ -17,11 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ORDERS", "EvaluationConfig", "EvaluationResult"]
 
-MAX_BATCH = 4096
-"""Observations in one question: about a gigabyte on either side."""
 ORDERS = ("shuffled", "forward", "reverse")
-AUDIT_SHARE = 0.01
-"""Share of every run that is repeated."""
 
 
 @dataclass(frozen=True, slots=True)

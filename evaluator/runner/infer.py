@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from evaluator.protocol import FAULT_LIMIT
+from evaluator.protocol import FAULT_CHECK, FAULT_LIMIT
 from evaluator.rollout.ask import record_answers
 from evaluator.rollout.backend import Backend, PolicyProcess
 from evaluator.run.records import Ledger
@@ -14,10 +14,7 @@ from rema_data.errors import PolicyFailureError
 from rema_data.progress import Progress
 from rema_data.schema import Situation
 
-__all__ = ["FAULT_CHECK", "check_faults", "infer_batches"]
-
-FAULT_CHECK = 100
-"""The share is looked at while the policy is asked once so many answers are there, and at the end in any case."""
+__all__ = ["check_faults", "infer_batches"]
 
 
 def infer_batches(

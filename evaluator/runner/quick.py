@@ -13,6 +13,7 @@ from typing import Any
 
 import pyarrow as pa
 
+from evaluator.protocol import FIRST_LOOK
 from evaluator.rollout.backend import Backend, default_backend
 from evaluator.run.header import RUN_FILE, read_header
 from evaluator.run.reading import read_run
@@ -25,10 +26,7 @@ from evaluator.statistics import QuickLook
 from rema_data.errors import InputError
 from rema_data.progress import Progress
 
-__all__ = ["FIRST_LOOK", "quick_evaluation"]
-
-FIRST_LOOK = 100
-"""Episodes before the first look; every later one is after twice as many."""
+__all__ = ["quick_evaluation"]
 
 
 def quick_evaluation(

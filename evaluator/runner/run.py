@@ -13,7 +13,7 @@ import pyarrow as pa
 from evaluator.engines import worker_count
 from evaluator.engines.child import call_in_child
 from evaluator.rollout.backend import Backend, PolicyProcess, default_backend
-from evaluator.rollout.simulate import INFRA_LIMIT, check_infrastructure, pending_jobs, simulate_jobs
+from evaluator.rollout.simulate import check_infrastructure, pending_jobs, simulate_jobs
 from evaluator.run.folder import RunFolder
 from evaluator.run.plan import Plan
 from evaluator.run.records import Ledger
@@ -31,7 +31,7 @@ from rema_data.progress import Progress, Silent
 from rema_data.schema import Situation
 from rema_data.storage import rema_home
 
-__all__ = ["INFRA_LIMIT", "Look", "run_evaluation"]
+__all__ = ["Look", "run_evaluation"]
 
 Look = Callable[[pa.Table], dict[str, Any]]
 
