@@ -32,7 +32,7 @@ class Board:
     Attributes
     ----------
     rows : tuple of Row
-        Task by task and protocol by protocol: ranked and published rows by rate, then the others by rate.
+        By task and protocol: ranked and published rows by rate, then the others by rate.
     remarks : tuple of str
         What the rows mean, and which of them do not compare.
     refused : tuple of RemaError
@@ -45,24 +45,11 @@ class Board:
 
 
 def leaderboard(sources: Sequence[Path], published: bool = True) -> Board:
-    """The board of runs, entries and the paper.
+    """The board of some run folders and submission files, and of the paper; see ``evaluator.leaderboard``.
 
-    Parameters
-    ----------
-    sources : sequence of Path
-        Finished run folders, and entry files. A run that is there as an entry as well is shown once.
-    published : bool
-        Add the paper's rows: of the tasks that the sources are about, or of all where there is no source.
-
-    Returns
-    -------
-    Board
-        A source that is not finished, or does not hold what was sealed, is left out and named.
-
-    Raises
-    ------
-    MissingFileError, InputError, IntegrityError
-        No source can be read at all: what is wrong with the first one.
+    A run that is there as a submission as well is shown once. A source that is not finished, or changed since it was
+    sealed, is left out and named. The paper's rows are those of the tasks of the sources, or of all where there is no
+    source.
     """
     read, refused = _read(sources)
     runs = _once(read)

@@ -17,15 +17,8 @@ __all__ = ["Check", "installed_list", "obstacles", "rank_checks"]
 class Check:
     """One condition of a rank, or of a submission.
 
-    Attributes
-    ----------
-    what : str
-        The field.
-    passed : bool
-    required, found : str
-        What it must be, and is.
-    reason : str
-        Why a run that does not meet it has no rank, in a few words for the table.
+    ``what`` is the field, ``required`` what it must be, ``found`` what it is; ``reason`` says in a few words why a run
+    that does not meet it has no rank.
     """
 
     what: str
@@ -36,13 +29,7 @@ class Check:
 
 
 def installed_list(task: str, split: str) -> tuple[str, int] | None:
-    """sha256 and number of scenarios of the frozen list of this installation; None where it has none.
-
-    Raises
-    ------
-    IntegrityError
-        The manifest of the lists cannot be read.
-    """
+    """sha256 and number of scenarios of the frozen list of this installation; None where it has none."""
     path = manifest_path(VERSION)
     if not path.is_file():
         return None

@@ -23,10 +23,9 @@ class Standing:
     Attributes
     ----------
     rank : int or None
-        1 plus the number of policies without privilege that are better beyond chance; None for privileged and unranked
-        runs.
+        1 plus the number of unprivileged policies that are significantly better; None for privileged and unranked runs.
     ties : str
-        Letters of the runs that it does not differ from.
+        Letters that it shares with the runs from which it does not differ significantly.
     unranked : str
         Why it has no rank; empty if it has, or is privileged.
     """

@@ -42,15 +42,9 @@ def scenarios_of(run: Run) -> ScenarioList:
 
 
 def world_differences(run: Run, fingerprint: dict[str, str], protocol_hash: str) -> dict[str, tuple[Any, Any]]:
-    """In what the world here is not that of a run: entry to (recorded, here); empty where every bit must agree.
+    """How the simulator and the protocol here differ from those of a run: field to (recorded, here).
 
-    Parameters
-    ----------
-    run : Run
-    fingerprint : dict
-        Of the simulator here.
-    protocol_hash : str
-        Of the run's task and protocol, here.
+    Empty where a replay must give the same bits.
     """
     known, here = decisive(run.provenance.fingerprint), decisive(fingerprint)
     pairs = {name: (known.get(name), here.get(name)) for name in sorted(known.keys() | here.keys())}

@@ -52,35 +52,8 @@ def replay(
 ) -> ReplayReport:
     """Check a finished run: its seal, its signature, its statistics, and a share of its episodes by simulation.
 
-    Parameters
-    ----------
-    folder : Path
-        A run folder; nothing in it is changed.
-    fraction : float
-        Share of the measured episodes that are simulated again, 0 to 1. They are drawn at random, so that no one can
-        know before which rows will be checked.
-    seed : int, optional
-        Draws the same episodes as an earlier replay; by default they are new ones each time.
-    engine, workers, address
-        See ``EvaluationConfig``.
-    public_key : Ed25519PublicKey, optional
-        Must have signed the run.
-    progress : Progress, optional
-    backend : Backend, optional
-        The real world by default; its policy is not used.
-
-    Raises
-    ------
-    InputError
-        The fraction is not a share, or the engine takes no address.
-    MissingFileError
-        There is no run, or it is not finished.
-    IntegrityError
-        ``run.json`` cannot be read.
-    RunMismatchError
-        The run was played on a scenario list that is not the one here.
-    InfrastructureError
-        Workers cannot be started.
+    See ``evaluator.replay``. ``backend`` is the real world by default; its policy is not used. The share is drawn at
+    random, so that it cannot be predicted which rows will be checked.
     """
     if not 0 <= fraction <= 1:
         raise InputError(f"a fraction of {fraction}", hint="give a share from 0 to 1, such as 0.02")

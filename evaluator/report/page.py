@@ -20,13 +20,7 @@ __all__ = ["render"]
 
 
 def render(content: Mapping[str, Any]) -> str:
-    """The page.
-
-    Parameters
-    ----------
-    content : mapping
-        Names that the template uses; see ``write_report``.
-    """
+    """The page; ``content`` are the names that the template uses."""
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True)
     environment.filters.update(percent=_percent, count=_count, words=_words)
     style, script = _text("page.css"), _text("page.js")

@@ -37,17 +37,7 @@ Note = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """Who is asked for scores.
-
-    Attributes
-    ----------
-    policy : PolicySpec
-    checkpoint : Path or None
-    device : str
-        Handed to the policy.
-    sandbox : str or None
-        Wrapper of its process, as for ``rema evaluate``.
-    """
+    """Who is asked for scores; the fields are those of ``ReportOptions``."""
 
     policy: PolicySpec
     checkpoint: Path | None = None
@@ -59,12 +49,8 @@ class Asked:
 class Scored:
     """Scores of one question.
 
-    Attributes
-    ----------
-    chosen : float
-        Score of the recorded action.
-    best : float32 (64, 64)
-        Highest score of every place over its valid angles; NaN where none is valid.
+    ``chosen`` is that of the recorded action, ``best`` (float32, 64 x 64) the highest of every place over its valid
+    angles, NaN where none is valid.
     """
 
     chosen: float
@@ -80,15 +66,7 @@ class Bin:
 
 
 def check_policy(run: Run, policy: PolicySpec, checkpoint: Path | None) -> None:
-    """Refuse a policy that is not the one of the run.
-
-    Raises
-    ------
-    RunMismatchError
-        Its digest is another one.
-    MissingFileError
-        Code or weights are not there.
-    """
+    """Refuse a policy that is not that of the run: a RunMismatchError where its digest differs."""
     got, recorded = digest(policy, checkpoint), run.provenance.policy_digest
     if got != recorded:
         raise RunMismatchError(
@@ -113,19 +91,8 @@ def ask_scores(
 ) -> list[Scored]:
     """Scores of some situations and of the actions that were taken in them.
 
-    Parameters
-    ----------
-    asked : Asked
-    questions : sequence of (Situation, int)
-    run : Path or None
-        Folder of the run, whose outcomes the policy must not see.
-    note : callable, optional
-        Told the isolation level of the policy.
-
-    Raises
-    ------
-    SubmissionError
-        The policy cannot be loaded, has no maps, or gave something else.
+    ``run`` is the folder whose outcomes the policy must not see; ``note`` is told the isolation level. A
+    SubmissionError where the policy cannot be loaded, has no maps, or gave something else.
     """
     by_step: dict[tuple[str, int], list[int]] = {}
     for number, (situation, _) in enumerate(questions):
@@ -169,19 +136,7 @@ def _no_maps(host: PolicyHost, why: str) -> SubmissionError:
 def calibration(rows: Sequence[Row], step: int, scores: Sequence[float]) -> list[Bin]:
     """Scores against success: groups of about equal size, from the lowest scores to the highest.
 
-    Parameters
-    ----------
-    rows : sequence of mapping
-        Of the results table.
-    step : int
-        The step whose scores they are; success is its own.
-    scores : sequence of float
-        Shares in 0..1, one a row.
-
-    Returns
-    -------
-    list of Bin
-        Empty where there are no rows.
+    ``scores`` are shares in 0..1, one a row, of ``step``, whose success counts. Empty where there are no rows.
     """
     if not rows:
         return []

@@ -80,13 +80,11 @@ class WrittenReport:
     path : Path
     size : int
         Bytes.
-    shown : int
-        Episodes of the gallery.
+    shown, scored : int
+        Episodes of the gallery, and of the calibration.
     agreement : mapping of str to int
-        Of the episodes that were played again: how many were ``identical``, ended with the ``same label``, or were
+        How many of the episodes that were played again were ``identical``, had the ``same label``, or were
         ``different``.
-    scored : int
-        Episodes in the calibration.
     left_out : int
         Pictures that there was no room for.
     """
@@ -102,9 +100,7 @@ class WrittenReport:
 def write_report(
     run: Path, output: Path | None = None, options: ReportOptions | None = None, progress: Progress | None = None
 ) -> WrittenReport:
-    """Write the page of a finished run.
-
-    The same run gives the same bytes on the same installation.
+    """Write the page of a finished run: the same bytes for the same run on the same installation.
 
     Parameters
     ----------
@@ -117,16 +113,12 @@ def write_report(
 
     Raises
     ------
-    MissingFileError
-        There is no such run, it did not finish, or weights are not there.
-    InputError, IntegrityError
-        A file of the run cannot be read or contradicts another; the extra ``report`` is not installed.
+    MissingFileError, InputError, IntegrityError
+        As ``read_run``; weights are missing; the extra ``report`` is not installed.
     RunMismatchError
         The policy that was named is not the one of the run.
     SubmissionError
         The policy gives no maps.
-    StorageError
-        The page cannot be written.
     """
     options, progress = options or ReportOptions(), progress or Silent()
     finished = read_run(run)

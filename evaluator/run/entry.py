@@ -102,13 +102,7 @@ class _Entry:
 
 
 def encode(run: Run) -> bytes:
-    """The entry of a run, sealed: the same bytes for the same run.
-
-    Raises
-    ------
-    InputError
-        The run has no audit.
-    """
+    """The submission file of a run, sealed: the same bytes for the same run. An InputError if it has no audit."""
     if run.audit is None:
         raise InputError(f"{run.source} has no audit", hint="evaluate the policy again", path=str(run.source))
     mark = run.provenance
@@ -157,14 +151,12 @@ def _unpack(text: str, count: int) -> npt.NDArray[np.bool_]:
 
 
 def read_entry(path: Path) -> Run:
-    """A run from its entry, whose seal and counts were checked.
+    """A run from its submission file, whose seal and counts were checked.
 
     Raises
     ------
-    MissingFileError
-        There is no such file.
-    IntegrityError
-        It is not an entry, has a newer format, its seal is broken, or its counts are not those of its outcomes.
+    MissingFileError, IntegrityError
+        There is no such file; or it is not a submission, has a newer format, a broken seal, or wrong counts.
     """
     if not path.is_file():
         raise MissingFileError(f"{path} does not exist", hint="check the path", path=str(path))

@@ -34,14 +34,7 @@ _FILES = (RUN_FILE, RESULTS_FILE, ACTIONS_FILE, LEAVES_FILE, TIMINGS_FILE, SUMMA
 
 
 class RunFolder:
-    """``run.json`` and the paths of a run. Use ``RunFolder.locked``.
-
-    Attributes
-    ----------
-    path : Path
-    header : dict
-        Content of ``run.json``.
-    """
+    """``run.json`` (``header``) and the paths of a run. Use ``RunFolder.locked``."""
 
     def __init__(self, path: Path, header: dict[str, Any]) -> None:
         self.path = path
@@ -72,10 +65,9 @@ class RunFolder:
     @staticmethod
     @contextmanager
     def locked(path: Path, identity: Mapping[str, Any], episodes: int) -> Iterator[RunFolder]:
-        """Open the folder of a run for this process alone, creating it where it is missing.
+        """Open the folder of a run for this process alone; create it where it is missing.
 
-        A folder without records and results is taken over. What a killed process left
-        half-written is swept away.
+        A folder without records and results is taken over. What a killed process left half-written is deleted.
 
         Parameters
         ----------

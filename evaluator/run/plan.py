@@ -20,19 +20,7 @@ _T = TypeVar("_T")
 
 
 class Plan:
-    """The episodes of a run and the steps in which its policy acts.
-
-    Parameters
-    ----------
-    scenarios : sequence of Scenario
-    task : str
-    protocol : {"conditional", "end-to-end"}
-
-    Attributes
-    ----------
-    steps : tuple of int
-        The last step (conditional), or all.
-    """
+    """The episodes of a run and ``steps``, those in which its policy acts: the last one (conditional), or all."""
 
     def __init__(self, scenarios: Sequence[Scenario], task: str, protocol: str) -> None:
         self.scenarios = scenarios

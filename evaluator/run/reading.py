@@ -19,25 +19,11 @@ __all__ = ["read_run"]
 
 
 def read_run(path: Path, *, with_findings: bool = False) -> Run:
-    """A run, from its folder or from its entry file.
+    """A run, from its folder or from its submission file; see ``evaluator.read_run``.
 
-    Parameters
-    ----------
-    path : Path
-        Run folder of ``rema evaluate``, or entry of ``rema submit``.
-    with_findings : bool
-        For replays and submissions, which report everything: the folder must be sealed, every row is compared with its
-        seal, and a run that changed is returned with its ``findings``.
-
-    Raises
-    ------
-    MissingFileError
-        There is no run, or it is not finished.
-    InputError
-        ``summary.json`` is not the summary of a run.
-    IntegrityError
-        A file is not as it was sealed, contradicts another one, or has a newer format: the message names files, fields
-        and rows.
+    ``with_findings`` is for replays and submissions, which report everything: the folder must be sealed, every row is
+    compared with its seal, and a run that changed is returned with its ``findings``. Without it, such a run is an
+    IntegrityError that names files, fields and rows.
     """
     if path.is_file():
         entry = read_entry(path)

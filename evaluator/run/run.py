@@ -41,11 +41,11 @@ class Provenance:
     Attributes
     ----------
     policy_digest, protocol_hash, scenarios_hash : str
+        Two runs compare where the two hashes agree.
     fingerprint : dict of str -> str
-        Of the simulator. Two runs compare where these two hashes agree; where the fingerprint differs, they may differ
-        by the simulator.
+        Of the simulator. Where it differs, two runs may differ because of the simulator.
     environment : dict
-        Versions, commit, machine and engine, as strings, whole numbers, booleans or null: for people.
+        Versions, commit, machine and engine, as plain values, for people.
     merkle_root, seal : str
         Of the run folder; empty where it has no seal.
     """
@@ -77,12 +77,12 @@ class Outcomes:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Run:
-    """One policy on one scenario list. ``evaluator.run.read_run`` makes it.
+    """One policy on one scenario list. ``evaluator.read_run`` makes it.
 
     Attributes
     ----------
     source : Path
-        Run folder or entry file.
+        Run folder or submission file.
     policy : str
     privileged : bool
         The policy saw the ground truth.
@@ -91,9 +91,9 @@ class Run:
     audit : Audit or None
         None where nothing was repeated.
     stopped_early : bool
-        A quick look, not a full run.
+        A quick run, not a full one.
     unfinished : int
-        Episodes that could have been played and have no result: 0 unless the run was cut short.
+        Episodes without a result though they could be played: 0 unless the run was interrupted.
     nondeterministic : int
         Steps that had two different outcomes.
     isolation : str
@@ -101,11 +101,11 @@ class Run:
     link : str
         Where to read about the policy; empty for run folders.
     findings : tuple of Finding
-        What is not as it was sealed, or contradicts another file. Always empty, but for a reader that asked for them.
+        What changed since the run was sealed, or contradicts another file. Empty unless the reader asked for findings.
     files : RunFiles or None
-        Content of the run folder; None for an entry.
+        Content of the run folder; None for a submission.
     packed : (Counts, Outcomes) or None
-        What an entry holds in place of a table; None for a folder.
+        What a submission holds in place of a table; None for a folder.
     """
 
     source: Path
@@ -160,10 +160,8 @@ class Run:
     def counts(self) -> Counts:
         """Counts, rate and interval, from the rows.
 
-        Raises
-        ------
-        IntegrityError
-            The table cannot be read (only where the reader asked for ``findings``); so do the properties below.
+        An IntegrityError where the table cannot be read (only if the reader asked for findings); so with the properties
+        below.
         """
         if self.packed is not None:
             return self.packed[0]
@@ -182,13 +180,7 @@ class Run:
 
     @property
     def folder(self) -> RunFiles:
-        """The files of the run folder.
-
-        Raises
-        ------
-        InputError
-            This is an entry; so do the properties below.
-        """
+        """The files of the run folder; an InputError for a submission, so with the properties below."""
         if self.files is None:
             raise self.no_folder()
         return self.files
@@ -238,13 +230,7 @@ class Run:
 
     @cached_property
     def timings(self) -> Sequence[Row]:
-        """Rows of ``timings.parquet``, which no seal is over.
-
-        Raises
-        ------
-        MissingFileError, IntegrityError
-            It is not there, or cannot be read.
-        """
+        """Rows of ``timings.parquet``, which no seal covers; MissingFileError or IntegrityError if unreadable."""
         path = self.source / TIMINGS_FILE
         if not path.is_file():
             raise MissingFileError(f"{path} does not exist", hint=AGAIN, path=str(path))
@@ -264,13 +250,7 @@ class Run:
         return self.source / results_name(self.header)
 
     def faults(self) -> list[Row]:
-        """What the policy said where it gave no action: ``index``, ``step``, ``reason`` and ``detail``.
-
-        Raises
-        ------
-        IntegrityError
-            A line of the records is damaged.
-        """
+        """Answers that are no action: ``index``, ``step``, ``reason``, ``detail``; an IntegrityError if damaged."""
         if not self.counts.policy_errors:
             return []
         answers = (row for _, row in read_journal(self.source / "records", ANSWERS))

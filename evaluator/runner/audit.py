@@ -61,23 +61,9 @@ def _rank(index: int) -> bytes:
 def ask_again(
     policy: PolicyProcess, backend: Backend, wanted: Iterable[Repeat], batch_size: int, again: Ledger
 ) -> Iterator[int]:
-    """Ask the policy about ``wanted`` and record the answers in ``again``.
+    """Ask a fresh policy about ``wanted``, in batches of another size than ``batch_size``; record in ``again``.
 
-    Parameters
-    ----------
-    policy : PolicyProcess
-        A fresh one.
-    backend : Backend
-    wanted : iterable of Repeat
-    batch_size : int
-        Of the run; the questions here have another size.
-    again : Ledger
-        Of the audit.
-
-    Yields
-    ------
-    int
-        Number of observations answered just now.
+    Yields the number of observations answered just now.
     """
     size = next(size for size in _BATCHES if size != batch_size)
     by_step: dict[int, list[Repeat]] = {}
@@ -106,20 +92,9 @@ def jobs_again(wanted: Sequence[Repeat], ledger: Records, again: Records) -> lis
 def audit_summary(wanted: Sequence[Repeat], ledger: Records, again: Records) -> dict[str, Any]:
     """How often the repeats differed, ready for JSON.
 
-    Parameters
-    ----------
-    wanted : sequence of Repeat
-    ledger : Records
-        Of the run.
-    again : Records
-        Of the audit.
-
-    Returns
-    -------
-    dict
-        ``actions`` asked again and ``action_flips`` among them, ``outcomes`` simulated again and ``outcome_flips`` (any
-        bit of an outcome), each with its Clopper-Pearson interval; ``lost``, repeats without an outcome; ``flipped``,
-        the first flips.
+    ``actions`` asked again and ``action_flips`` among them, ``outcomes`` simulated again and ``outcome_flips`` (any bit
+    of an outcome), each with its Clopper-Pearson interval; ``lost``, repeats without an outcome; ``flipped``, the first
+    flips.
     """
     actions = outcomes = lost = action_flips = outcome_flips = 0
     flipped: list[dict[str, Any]] = []

@@ -25,25 +25,7 @@ def infer_batches(
     ledger: Ledger,
     progress: Progress,
 ) -> None:
-    """Ask the policy about ``wanted`` and record its answers.
-
-    Parameters
-    ----------
-    policy : PolicyProcess
-    backend : Backend
-    cache : ObservationCache
-    wanted : sequence of Batch
-        Of one step.
-    ledger : Ledger
-    progress : Progress
-
-    Raises
-    ------
-    PolicyFailureError
-        Too many answers are faults.
-    StorageError
-        The disk is full.
-    """
+    """Ask the policy about the batches of one step and record its answers; ``check_faults`` as it goes."""
     progress.phase("infer", sum(len(batch.indices) for batch in wanted))
     block: Block | None = None
     loaded: tuple[Situation, ...] = ()
@@ -58,13 +40,7 @@ def infer_batches(
 
 
 def check_faults(ledger: Ledger) -> None:
-    """Raise where the policy failed on more episodes than a run tolerates.
-
-    Raises
-    ------
-    PolicyFailureError
-        With the first fault as an example.
-    """
+    """Raise a PolicyFailureError, with the first fault, where the policy failed on more answers than a run allows."""
     faults = [answer for answer in ledger.answers.values() if answer.action is None]
     if len(faults) <= FAULT_LIMIT * len(ledger.answers):
         return

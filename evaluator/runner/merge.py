@@ -53,19 +53,14 @@ class _Part:
 
 
 def merge_runs(parts: Sequence[Path], output: Path) -> EvaluationResult:
-    """Merge runs over parts of one scenario list.
+    """Merge the shards of one run.
 
     Parameters
     ----------
-    parts : sequence of Path
-        Run folders of the same policy, task, protocol, scenario list and simulator, in any order. They are left as
-        they are.
+    shards : sequence of Path
+        Run folders of the same policy, task, protocol, scenario list and simulator, in any order. They are not changed.
     output : Path
-        Folder of the whole run, which must not be there. It can be resumed, replayed and reported like any other.
-
-    Returns
-    -------
-    EvaluationResult
+        Folder of the whole run, which must not exist. It can be resumed, replayed and reported like any other.
 
     Raises
     ------
@@ -74,12 +69,10 @@ def merge_runs(parts: Sequence[Path], output: Path) -> EvaluationResult:
     RunMismatchError
         The runs do not belong together: the message names two folders and the field that differs.
     InputError
-        The output is there already; another process is writing in a part; two parts hold the same scenario, or some
-        scenarios are in none.
+        The output exists; another process is writing in a shard; two shards hold the same scenario, or some scenarios
+        are in none.
     InfrastructureError
         More than 0.1 % of the episodes were lost, after everything is written.
-    StorageError
-        The disk is full or may not be written.
     """
     if output.exists() and not (output.is_dir() and not any(output.iterdir())):
         raise InputError(f"{output} is there already", hint="choose another folder with --output", path=str(output))

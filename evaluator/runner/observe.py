@@ -17,16 +17,10 @@ _BLOCK = 512
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """One question to the policy: some rows of one block of the cache.
+    """One question to the policy: ``rows`` of one ``block`` of the cache.
 
-    Attributes
-    ----------
-    indices : tuple of int
-        Scenario indices, in the order in which they are asked about.
-    block : tuple of Situation
-        All situations of the block, which name it in the cache.
-    rows : tuple of int
-        Of these scenarios in the block.
+    ``indices`` are those of the scenarios, in the order in which the policy is asked about them; the situations of the
+    block name it in the cache.
     """
 
     indices: tuple[int, ...]
@@ -40,14 +34,7 @@ class Batch:
 
 
 def batches(alive: Mapping[int, Situation], batch_size: int) -> list[Batch]:
-    """The questions of one step: fixed by the order of the scenarios, independent of earlier answers.
-
-    Parameters
-    ----------
-    alive : mapping of int to Situation
-        By scenario index, ascending.
-    batch_size : int
-    """
+    """The questions of one step: fixed by the order of the scenarios in ``alive``, independent of earlier answers."""
     indices, situations = tuple(alive), tuple(alive.values())
     size = batch_size * max(1, _BLOCK // batch_size)
     found = []
@@ -60,16 +47,10 @@ def batches(alive: Mapping[int, Situation], batch_size: int) -> list[Batch]:
 
 
 def shuffled(wanted: Sequence[Batch], salt: str) -> list[Batch]:
-    """The same questions in an order that only the run knows: no policy can tell a scenario by counting.
+    """The same questions in an order that only the run knows: no policy can identify a scenario by counting.
 
-    Which scenarios share a question does not change. Batches of one block stay together.
-
-    Parameters
-    ----------
-    wanted : sequence of Batch
-        As ``batches`` makes them.
-    salt : str
-        Drawn for the run. What is left of ``wanted`` after an interruption keeps its order.
+    Which scenarios share a question does not change. Batches of one block stay together. ``salt`` is drawn for the run,
+    and what is left of ``wanted`` after an interruption keeps its order.
     """
 
     def rank(what: object) -> bytes:
@@ -87,13 +68,7 @@ def shuffled(wanted: Sequence[Batch], salt: str) -> list[Batch]:
 
 
 def observe_batches(cache: ObservationCache, wanted: Sequence[Batch], progress: Progress) -> None:
-    """Put the blocks of ``wanted`` into the cache, one at a time.
-
-    Raises
-    ------
-    StorageError
-        The disk is full or may not be written.
-    """
+    """Put the blocks of ``wanted`` into the cache, one at a time."""
     blocks = list({batch.block: None for batch in wanted})
     progress.phase("observe", sum(len(block) for block in blocks))
     for block in blocks:

@@ -38,29 +38,16 @@ def quick_evaluation(
 ) -> EvaluationResult:
     """Evaluate a policy until it is better or worse than a finished run, or ``config.episodes`` are played.
 
-    Parameters
-    ----------
-    config : EvaluationConfig
-    against : Path
-        Folder of a run of the same task, split and protocol.
-    progress : Progress, optional
-    backend : Backend, optional
-
-    Returns
-    -------
-    EvaluationResult
-        ``summary["stopped_early"]`` says what the pairs tell: verdict, counts, and intervals that hold however often
-        one looked. Nothing is repeated (``audit`` is null).
+    ``summary["stopped_early"]`` holds what the pairs tell: verdict, counts, and intervals that hold however often one
+    tests. Nothing is repeated (``audit`` is null).
 
     Raises
     ------
     InputError
-        The other run does not compare: it is of another task, split, protocol, version of the protocol, or scenario
-        list. Or the folder holds a run to the end, which a look would take its rank.
-    MissingFileError
-        The other run is not finished.
+        The run in the folder ``against`` is of another task, split, protocol, protocol version or scenario list. Or the
+        output folder holds a full run, which would lose its rank.
     RemaError
-        As ``run_evaluation``.
+        As ``run_evaluation``, and as ``read_run`` for ``against``.
     """
     backend = backend or default_backend()
     reference = read_run(against)

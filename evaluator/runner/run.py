@@ -43,7 +43,7 @@ def run_evaluation(
     backend: Backend | None = None,
     look: Look | None = None,
 ) -> EvaluationResult:
-    """Evaluate a policy, or go on with an evaluation that was interrupted.
+    """Evaluate a policy, or continue an evaluation that was interrupted.
 
     Parameters
     ----------
@@ -53,11 +53,7 @@ def run_evaluation(
     backend : Backend, optional
         The real world by default.
     look : callable, optional
-        Makes of the rows what the summary is to say under ``stopped_early``: such a run has no rank.
-
-    Returns
-    -------
-    EvaluationResult
+        Makes of the results table what the summary says under ``stopped_early``: such a run has no rank.
 
     Raises
     ------
@@ -76,7 +72,7 @@ def run_evaluation(
     StorageError
         The disk is full; run again when it is not.
     KeyboardInterrupt
-        Workers are stopped; run again to go on.
+        Workers are stopped; run again to continue.
     """
     start = time.perf_counter()
     progress = progress or Silent()
