@@ -96,14 +96,8 @@ def _once(runs: Sequence[Run]) -> list[Run]:
         same: tuple[object, ...] = (number,)
         if run.provenance.policy_digest:
             bits = (run.outcomes.success.tobytes(), run.outcomes.eligible.tobytes())
-            same = (
-                run.task,
-                run.protocol,
-                run.split,
-                run.provenance.policy_digest,
-                run.provenance.scenarios_hash,
-                *bits,
-            )
+            marks = (run.provenance.policy_digest, run.provenance.scenarios_hash)
+            same = (run.task, run.protocol, run.split, *marks, *bits)
         kept.setdefault(same, run)
     return list(kept.values())
 

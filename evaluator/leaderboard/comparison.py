@@ -26,9 +26,6 @@ from rema_data.errors import InputError
 
 __all__ = ["Comparison", "StratumRow", "compare"]
 
-_MUST_AGREE = ("task", "split", "protocol")
-_HASHES = ("protocol_hash", "scenarios_hash")
-
 
 @dataclass(frozen=True, slots=True)
 class StratumRow:
@@ -152,10 +149,8 @@ def compare(a: Run, b: Run) -> Comparison:
 
 def _check_comparable(a: Run, b: Run) -> None:
     """Raise an InputError, with the field and both values, where two runs do not compare."""
-    pairs = [(field, getattr(a, field), getattr(b, field)) for field in _MUST_AGREE]
-    pairs += [(field, getattr(a.provenance, field), getattr(b.provenance, field)) for field in _HASHES]
-    for field, first, second in pairs:
-        if first != second:
+    for field, first in a.comparable.items():
+        if (second := b.comparable[field]) != first:
             raise InputError(
                 f"the runs do not compare: {field} is {first or 'not recorded'} in {a.source} and "
                 f"{second or 'not recorded'} in {b.source}",

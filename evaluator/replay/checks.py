@@ -13,32 +13,10 @@ from evaluator.run.check import Finding, row_name
 from evaluator.run.plan import Plan
 from evaluator.run.run import Run
 from evaluator.run.seal import ACTIONS_FILE
-from evaluator.scenarios import ScenarioList, load_list
 from evaluator.sim.bullet import decisive
 from rema_data import grid
-from rema_data.errors import RunMismatchError
 
-__all__ = ["invalid_actions", "scenarios_of", "world_differences"]
-
-
-def scenarios_of(run: Run) -> ScenarioList:
-    """The list that a run was played on.
-
-    Raises
-    ------
-    RunMismatchError
-        It is not the one here.
-    """
-    recorded = run.provenance.scenarios_hash
-    scenarios = load_list(run.task, run.split)
-    if scenarios.sha256 != recorded or run.header["episodes"] > len(scenarios.scenarios):
-        raise RunMismatchError(
-            f"{run.source} was played on another scenario list than the one here: {recorded}, here {scenarios.sha256}",
-            hint="replay it with the version of rema that made it (`versions` in run.json)",
-            recorded=recorded,
-            here=scenarios.sha256,
-        )
-    return scenarios
+__all__ = ["invalid_actions", "world_differences"]
 
 
 def world_differences(run: Run, fingerprint: dict[str, str], protocol_hash: str) -> dict[str, tuple[Any, Any]]:

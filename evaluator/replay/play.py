@@ -12,14 +12,14 @@ import numpy as np
 
 from evaluator.engines import InfraError, check_engine
 from evaluator.engines.child import call_in_child
-from evaluator.replay.checks import invalid_actions, scenarios_of, world_differences
+from evaluator.replay.checks import invalid_actions, world_differences
 from evaluator.replay.report import ReplayReport
 from evaluator.rollout.simulate import pending_jobs, simulate_jobs
 from evaluator.run.actions import recorded_actions
 from evaluator.run.check import Finding, row_name, shortened
 from evaluator.run.counts import unfinished
 from evaluator.run.header import RUN_FILE
-from evaluator.run.plan import Plan
+from evaluator.run.plan import Plan, scenario_list
 from evaluator.run.reading import read_run
 from evaluator.run.records import Records
 from evaluator.run.run import Run
@@ -93,7 +93,7 @@ class _Replay:
     def check(self, engine: str, workers: int | None, address: str | None) -> None:
         """Statistics and rows, as far as they can be read."""
         run, backend, files = self.run, self.backend, self.run.folder
-        scenarios = scenarios_of(run)
+        scenarios = scenario_list(run.header, run.source)
         here = call_in_child(backend.fingerprint)
         self.differences = world_differences(run, here, backend.protocol_hash(run.task, run.protocol))
         if files.table is None or files.table.num_rows != run.header["episodes"]:

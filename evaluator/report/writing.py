@@ -12,9 +12,9 @@ from evaluator.protocol import protocol_hash
 from evaluator.report import content
 from evaluator.report.breakdown import breakdowns, place_map
 from evaluator.report.selection import Chosen, choose
+from evaluator.run.plan import scenario_list
 from evaluator.run.reading import read_run
 from evaluator.run.run import Row, Run
-from evaluator.scenarios import ScenarioList, load_list
 from evaluator.statistics import percent
 from rema_data.errors import InputError, RemaError
 from rema_data.progress import Progress, Silent
@@ -233,7 +233,7 @@ def _pictures(run: Run, options: ReportOptions, progress: Progress) -> _Pictures
     if options.policy is not None:
         check_policy(run, options.policy, options.checkpoint)
     try:
-        scenarios = _scenarios(run)
+        scenarios = scenario_list(run.header, run.source)
     except RemaError as error:
         reason = f"Episodes cannot be played again here: {error.message}."
         return _Pictures(run, (), reason, (), reason, 0, options.per_label)
@@ -269,15 +269,3 @@ def _pictures(run: Run, options: ReportOptions, progress: Progress) -> _Pictures
     )
     bins = calibration(rows, step, scores)
     return _Pictures(run, cards, reason, bins, note, len(rows), options.per_label)
-
-
-def _scenarios(run: Run) -> ScenarioList:
-    """The list of the run; an error where this installation does not have it."""
-    version = str(run.rows[0]["scenario"]).partition("/")[0]
-    scenarios = load_list(run.task, run.split, version)
-    if scenarios.sha256 != run.provenance.scenarios_hash or len(run.rows) > len(scenarios.scenarios):
-        raise InputError(
-            f"the {run.task}/{run.split} list {version} of this installation is not the one of the run",
-            hint="install the version of rema that made the run",
-        )
-    return scenarios

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +32,7 @@ AGAIN = "run the same `rema evaluate` again: it writes the tables from its recor
 _FINDINGS_NAMED = 3
 
 Row = Mapping[str, Any]
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +148,13 @@ class Run:
         return "privileged" if self.privileged or kind in PRIVILEGED_KINDS else kind or "submitted"
 
     @property
+    def comparable(self) -> dict[str, str]:
+        """What two runs must share to be compared scenario by scenario."""
+        return {name: getattr(self, name) for name in ("task", "split", "protocol")} | {
+            name: getattr(self.provenance, name) for name in ("protocol_hash", "scenarios_hash")
+        }
+
+    @property
     def steps(self) -> tuple[int, ...]:
         """Steps in which the policy acted, ascending."""
         return acting_steps(self.task, self.protocol)
@@ -163,11 +171,7 @@ class Run:
         An IntegrityError where the table cannot be read (only if the reader asked for findings); so with the properties
         below.
         """
-        if self.packed is not None:
-            return self.packed[0]
-        if self.folder.counts is None:
-            raise self.refusal()
-        return self.folder.counts
+        return self._read(self.folder.counts) if self.packed is None else self.packed[0]
 
     @cached_property
     def outcomes(self) -> Outcomes:
@@ -175,8 +179,7 @@ class Run:
         if self.packed is not None:
             return self.packed[1]
         success = self.table["success"].to_pylist()
-        eligible, solved = ([value is not None for value in success], [value is True for value in success])
-        return Outcomes(np.array(eligible), np.array(solved))
+        return Outcomes(np.array([one is not None for one in success]), np.array([one is True for one in success]))
 
     @property
     def folder(self) -> RunFiles:
@@ -184,6 +187,11 @@ class Run:
         if self.files is None:
             raise self.no_folder()
         return self.files
+
+    def _read(self, content: _T | None) -> _T:
+        if content is None:
+            raise self.refusal()
+        return content
 
     @property
     def header(self) -> Mapping[str, Any]:
@@ -193,29 +201,22 @@ class Run:
     @property
     def summary(self) -> Mapping[str, Any]:
         """Content of ``summary.json``."""
-        if self.folder.summary is None:
-            raise self.refusal()
-        return self.folder.summary
+        return self._read(self.folder.summary)
 
     @property
     def table(self) -> pa.Table:
         """The results table: a row for each scenario, in their order."""
-        if self.folder.table is None:
-            raise self.refusal()
-        return self.folder.table
+        return self._read(self.folder.table)
 
     @property
     def stored(self) -> pa.Table:
         """The same without the columns that are newer than the run."""
-        if self.folder.stored is None:
-            raise self.refusal()
-        return self.folder.stored
+        return self._read(self.folder.stored)
 
     @cached_property
     def rows(self) -> Sequence[Row]:
         """Rows of the results table; a null is None."""
-        rows: list[Row] = self.table.to_pylist()
-        return rows
+        return self.table.to_pylist()  # type: ignore[no-any-return]
 
     @property
     def measured(self) -> list[Row]:

@@ -81,26 +81,18 @@ def quick_evaluation(
 
 def _check_reference(reference: Run, config: EvaluationConfig, backend: Backend) -> None:
     """Raise before anything is played where the two runs will not compare."""
-    listed = load_list(config.task, config.split)
     mine = {
         "task": config.task,
         "split": config.split,
         "protocol": config.protocol,
         "protocol_hash": backend.protocol_hash(config.task, config.protocol),
-        "scenarios_hash": listed.sha256,
+        "scenarios_hash": load_list(config.task, config.split).sha256,
     }
-    theirs = {
-        "task": reference.task,
-        "split": reference.split,
-        "protocol": reference.protocol,
-        "protocol_hash": reference.provenance.protocol_hash,
-        "scenarios_hash": reference.provenance.scenarios_hash,
-    }
-    for field, value in mine.items():
-        if theirs[field] != value:
+    for field, value in reference.comparable.items():
+        if value != mine[field]:
             raise InputError(
-                f"{reference.source} does not compare: its {field} is {theirs[field] or 'not recorded'}, "
-                f"here it is {value}",
+                f"{reference.source} does not compare: its {field} is {value or 'not recorded'}, "
+                f"here it is {mine[field]}",
                 hint="give a run of the same task, split and protocol, made with this version",
                 field=field,
             )
