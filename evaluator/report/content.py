@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -19,11 +18,6 @@ from evaluator.statistics import clopper_pearson, format_rate, percent, rate_int
 from rema_data.schema import TASKS
 
 __all__ = [
-    "Fault",
-    "Phase",
-    "StepTimes",
-    "StepTotal",
-    "Timings",
     "criteria",
     "failures",
     "faults",
@@ -112,80 +106,31 @@ def failures(run: Run) -> list[Group]:
     return [Group(label, eligible, count, *rate_interval(count, eligible)) for label, count in ordered]
 
 
-@dataclass(frozen=True, slots=True)
-class StepTotal:
-    """How many episodes reached and passed a step, and the share in words."""
-
-    name: str
-    attempted: int
-    succeeded: int
-    rate: float
-    text: str
-
-
-def funnel(run: Run) -> list[StepTotal]:
-    """The steps of an end-to-end run of several steps; nothing for other runs."""
+def funnel(run: Run) -> list[dict[str, Any]]:
+    """How many episodes reached and passed each step of an end-to-end run of several steps; nothing for other runs."""
     steps = run.counts.funnel
-    if len(steps) < 2:
-        return []
     return [
-        StepTotal(
-            step_name(run.task, step.step),
-            step.attempted,
-            step.succeeded,
-            step.succeeded / max(1, step.attempted),
-            format_rate(step.succeeded, step.attempted),
-        )
-        for step in steps
+        {
+            "name": step_name(run.task, step.step),
+            "attempted": step.attempted,
+            "succeeded": step.succeeded,
+            "rate": step.succeeded / max(1, step.attempted),
+            "text": format_rate(step.succeeded, step.attempted),
+        }
+        for step in (steps if len(steps) > 1 else ())
     ]
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """A kind of wrong answer: how often, and the words of one."""
-
-    reason: str
-    count: int
-    example: str
-
-
-def faults(run: Run) -> list[Fault]:
-    """What the policy did instead of answering, the commonest first."""
+def faults(run: Run) -> list[tuple[str, int, str]]:
+    """What the policy did instead of answering, the most common first: reason, count and the words of one."""
     rows = run.faults()
     counts = Counter(str(row["reason"]) for row in rows)
     examples = {str(row["reason"]): str(row["detail"] or "") for row in reversed(rows)}
-    return [Fault(reason, count, examples[reason]) for reason, count in counts.most_common()]
+    return [(reason, count, examples[reason]) for reason, count in counts.most_common()]
 
 
-@dataclass(frozen=True, slots=True)
-class Phase:
-    """A part of the wall time; ``start`` and ``share`` are shares of the whole."""
-
-    name: str
-    text: str
-    start: float
-    share: float
-
-
-@dataclass(frozen=True, slots=True)
-class StepTimes:
-    """Seconds of the simulator in one step, ready to print."""
-
-    name: str
-    cells: Sequence[str]
-
-
-@dataclass(frozen=True, slots=True)
-class Timings:
-    """How long a run took, in one sentence, by phase, and by step."""
-
-    text: str
-    phases: Sequence[Phase]
-    steps: Sequence[StepTimes]
-
-
-def timings(run: Run) -> Timings:
-    """Wall time by phase, and the simulator's time by step."""
+def timings(run: Run) -> dict[str, Any]:
+    """Wall time in words and by phase (its start and length are shares of the whole), the simulator's time by step."""
     seconds, speed = run.summary["seconds"], run.summary["episodes_per_second"]
     total = seconds["total"]
     text = "The parts of this run that ended in an orderly way recorded no time."
@@ -199,7 +144,7 @@ def timings(run: Run) -> Timings:
         for name, value in named.items():
             if not value:
                 continue
-            phases.append(Phase(name, _time(value), start, value / whole))
+            phases.append({"name": name, "text": _time(value), "start": start, "share": value / whole})
             start += value / whole
     steps = []
     for step in sorted({row["step"] for row in run.timings}):
@@ -208,8 +153,8 @@ def timings(run: Run) -> Timings:
         spans = [*np.quantile(values, (0.5, 0.95)), values.max()]
         cells = [f"{len(rows):,}", *(f"{span:.3f}" for span in spans), _time(float(values.sum()))]
         cells += [str(len({row["worker"] for row in rows})), str(sum(row["attempt"] > 1 for row in rows))]
-        steps.append(StepTimes(step_name(run.task, step), cells))
-    return Timings(text, phases, steps)
+        steps.append((step_name(run.task, step), cells))
+    return {"text": text, "phases": phases, "steps": steps}
 
 
 def _time(seconds: float) -> str:

@@ -1,7 +1,7 @@
 """Merge the runs of all shards of one evaluation.
 
-A shard's run folder is like any other; the episodes of other shards have no result in it. Merging takes its records, not
-its tables: the tables of the whole are made from all records, as those of a single run are, and so are the same bytes.
+A shard's run folder is like any other; the episodes of other shards have no result in it. Merging takes its records,
+not its tables: the tables of the whole are made from all records, as those of a single run are, with the same bytes.
 """
 
 from __future__ import annotations
