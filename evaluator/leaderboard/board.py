@@ -90,7 +90,7 @@ def find_runs(folder: Path) -> list[Path]:
 
 
 def _once(runs: Sequence[Run]) -> list[Run]:
-    """Runs without those that say what an earlier one said; entries come first, as they carry a name and a link."""
+    """Runs without copies of an earlier one; submissions come first, as they carry a name and a link."""
     kept: dict[tuple[object, ...], Run] = {}
     for number, run in enumerate(sorted(runs, key=lambda run: run.kind != "entry")):
         same: tuple[object, ...] = (number,)
@@ -116,7 +116,7 @@ def _remarks(rows: Sequence[Row], pairs: Sequence[Pair]) -> Iterator[str]:
         yield PUBLISHED_REMARK
     if pairs:
         yield (
-            "ties: policies of one table that share a letter do not differ beyond chance (mid-p McNemar on the same "
+            "ties: policies of one table that share a letter do not differ significantly (mid-p McNemar on the same "
             f"scenarios, Holm over the {len(pairs)} {'pair' if len(pairs) == 1 else 'pairs'} of the board, "
             f"p > {LEVEL:g}). {_power(pairs)}"
         )
@@ -140,16 +140,16 @@ def _remarks(rows: Sequence[Row], pairs: Sequence[Pair]) -> Iterator[str]:
 
 
 def _power(pairs: Sequence[Pair]) -> str:
-    """What the pairs at hand could have found, one by one."""
+    """The smallest difference that these pairs could have shown, one by one."""
     found = [
         difference
         for pair in pairs
         if (difference := detectable_difference(pair.table.n, pair.table.discordance)) is not None
     ]
     if not found:
-        return "At so few discordant scenarios no difference could have been found with 80 % power."
+        return "At so few discordant scenarios no difference could have been shown with 80 % power."
     low, high = (f"{100 * end:.2f}" for end in (min(found), max(found)))
     span = low if low == high else f"{low} to {high}"
     return (
-        f"Smallest difference that a single pair finds with 80 % power: {span} points, by how often the two disagree."
+        f"Smallest difference that a single pair shows with 80 % power: {span} points, by how often the two disagree."
     )

@@ -1,4 +1,4 @@
-"""Who is better than whom: every pair of ranked runs tested on the same scenarios, adjusted for the number of pairs."""
+"""Ranks: every pair of ranked runs is tested on the same scenarios, adjusted for the number of pairs."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Pair:
 
     @property
     def better(self) -> int | None:
-        """The run that is better beyond chance, if one is."""
+        """The run that is significantly better, if one is."""
         if self.p > LEVEL or self.table.only_a == self.table.only_b:
             return None
         return self.first if self.table.only_a > self.table.only_b else self.second

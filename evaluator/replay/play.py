@@ -5,17 +5,18 @@ from __future__ import annotations
 import hashlib
 import math
 import secrets
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from evaluator.engines import InfraError, check_engine
 from evaluator.engines.child import call_in_child
-from evaluator.replay.checks import invalid_actions, world_differences
 from evaluator.replay.report import ReplayReport
 from evaluator.rollout.simulate import pending_jobs, simulate_jobs
-from evaluator.run.actions import recorded_actions
+from evaluator.run.actions import NOT_ASKED, POLICY_ERROR, recorded_actions
 from evaluator.run.check import Finding, row_name, shortened
 from evaluator.run.counts import unfinished
 from evaluator.run.header import RUN_FILE
@@ -23,12 +24,14 @@ from evaluator.run.plan import Plan, scenario_list
 from evaluator.run.reading import read_run
 from evaluator.run.records import Records
 from evaluator.run.run import Run
-from evaluator.run.seal import SUMMARY_FILE
+from evaluator.run.seal import ACTIONS_FILE, SUMMARY_FILE
 from evaluator.run.signature import SIGNATURE_FILE, is_signed_by, key_name
 from evaluator.run.tables import results_table, scenario_columns
 from evaluator.runner import Backend, default_backend
 from evaluator.scenarios import ScenarioList
+from evaluator.sim.bullet import decisive
 from evaluator.statistics import clopper_pearson
+from rema_data import grid
 from rema_data.errors import InputError
 from rema_data.progress import Progress, Silent
 
@@ -95,7 +98,7 @@ class _Replay:
         run, backend, files = self.run, self.backend, self.run.folder
         scenarios = scenario_list(run.header, run.source)
         here = call_in_child(backend.fingerprint)
-        self.differences = world_differences(run, here, backend.protocol_hash(run.task, run.protocol))
+        self.differences = _world_differences(run, here, backend.protocol_hash(run.task, run.protocol))
         if files.table is None or files.table.num_rows != run.header["episodes"]:
             return
         plan = Plan(scenarios.scenarios[: run.counts.episodes], run.task, run.protocol)
@@ -106,7 +109,7 @@ class _Replay:
         if files.actions is None:
             return
         if not self.differences:
-            self.findings += invalid_actions(run, files.actions, plan, backend.valid_actions)
+            self.findings += _invalid_actions(run, files.actions, plan, backend.valid_actions)
         records = recorded_actions(files.actions, plan.steps)
         sample = self._sample(np.flatnonzero(run.outcomes.eligible).tolist())
         drawn = Plan([plan.scenarios[row] for row in sample], run.task, run.protocol)
@@ -192,3 +195,29 @@ class _Replay:
         if self.replayed and self.replayed == self.measured:
             return count / self.replayed, count / self.replayed
         return clopper_pearson(count, self.replayed)
+
+
+def _world_differences(run: Run, fingerprint: dict[str, str], protocol_hash: str) -> dict[str, tuple[Any, Any]]:
+    """How the simulator and the protocol here differ from those of a run: field to (recorded, here).
+
+    Empty where a replay must give the same bits.
+    """
+    known, here = decisive(run.provenance.fingerprint), decisive(fingerprint)
+    pairs = {name: (known.get(name), here.get(name)) for name in sorted(known.keys() | here.keys())}
+    pairs["protocol_hash"] = (run.provenance.protocol_hash, protocol_hash)
+    return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
+
+
+def _invalid_actions(
+    run: Run,
+    actions: npt.NDArray[np.uint16],
+    plan: Plan,
+    valid_actions: Callable[[str, int], npt.NDArray[np.bool_]],
+) -> Iterator[Finding]:
+    """Recorded actions that the protocol does not allow."""
+    for column, step in enumerate(plan.steps):
+        valid = valid_actions(plan.task, step).reshape(grid.ACTIONS)
+        taken = actions[:, column]
+        for row in np.flatnonzero(~valid[taken] & (taken != POLICY_ERROR) & (taken != NOT_ASKED)).tolist():
+            where = f"{row_name(run.table, row)}, step {step}"
+            yield Finding(ACTIONS_FILE, where, f"action {taken[row]} is not a valid one")

@@ -1,4 +1,4 @@
-"""What a replay found, and the signature that may be put under it."""
+"""The findings of a replay, and the signature of a run that passed."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def sign(folder: Path, report: ReplayReport, key: Ed25519PrivateKey) -> Path:
     if report.unfinished:
         raise InputError(
             f"{folder} is not signed: {report.unfinished:,} of its {report.episodes:,} episodes have no result",
-            hint="finish the run first: the same `rema evaluate` again goes on with it",
+            hint="finish the run first: the same `rema evaluate` again continues it",
             unfinished=report.unfinished,
         )
     if not report.replayed:

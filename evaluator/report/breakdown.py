@@ -57,8 +57,8 @@ class Breakdown:
 
     @property
     def reference(self) -> float:
-        """Rate of all these episodes together."""
-        return sum(part.successes for part in self.groups) / sum(part.n for part in self.groups)
+        """Rate of all these episodes."""
+        return sum(group.successes for group in self.groups) / sum(group.n for group in self.groups)
 
 
 @dataclass(frozen=True, slots=True)

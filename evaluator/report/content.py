@@ -30,8 +30,8 @@ __all__ = [
 ]
 
 _SEGMENT_COLUMNS = (
-    "part",
-    "began",
+    "segment",
+    "started",
     "episodes",
     "engine",
     "workers",
@@ -91,11 +91,11 @@ def remarks(run: Run) -> list[str]:
             f"{audit.actions:,} answers of the policy were asked for again: {audit.action_flips:,} differed. "
             f"{audit.outcomes:,} actions were simulated again: {audit.outcome_flips:,} outcomes differed."
         )
-    parts = run.header["segments"]
-    if any(part.get("dirty") for part in parts):
+    segments = run.header["segments"]
+    if any(segment.get("dirty") for segment in segments):
         found.append("The code was changed against its commit while this was computed.")
-    if len({str((part.get("machine"), part.get("versions"))) for part in parts}) > 1:
-        found.append("The run was computed in parts on different machines or with different versions: see provenance.")
+    if len({str((segment.get("machine"), segment.get("versions"))) for segment in segments}) > 1:
+        found.append("The run was computed on different machines or with different versions: see provenance.")
     return found
 
 
@@ -133,10 +133,12 @@ def timings(run: Run) -> dict[str, Any]:
     """Wall time in words and by phase (its start and length are shares of the whole), the simulator's time by step."""
     seconds, speed = run.summary["seconds"], run.summary["episodes_per_second"]
     total = seconds["total"]
-    text = "The parts of this run that ended in an orderly way recorded no time."
+    text = "No process of this run recorded its time."
     phases = []
     if total:
-        workers = ", ".join(str(count) for count in sorted({part.get("workers", 1) for part in run.header["segments"]}))
+        workers = ", ".join(
+            str(count) for count in sorted({segment.get("workers", 1) for segment in run.header["segments"]})
+        )
         text = f"{_time(total)} in all, {speed:,.1f} episodes a second, workers: {workers}."
         named = {name: seconds.get(name, 0.0) for name in PHASES if name != "total"}
         named["other"] = max(0.0, total - sum(named.values()))
@@ -184,17 +186,17 @@ def provenance(run: Run) -> list[tuple[str, str]]:
 def segments(run: Run) -> Mapping[str, Any]:
     """The processes that computed the run: names of the columns, and a row each."""
     rows = []
-    for part in run.header["segments"]:
-        machine, versions, seconds = (part.get(name) or {} for name in ("machine", "versions", "seconds"))
-        commit = str(part.get("commit") or _UNKNOWN)[:12] + (", changed" if part.get("dirty") else "")
+    for segment in run.header["segments"]:
+        machine, versions, seconds = (segment.get(name) or {} for name in ("machine", "versions", "seconds"))
+        commit = str(segment.get("commit") or _UNKNOWN)[:12] + (", changed" if segment.get("dirty") else "")
         rows.append(
             [
-                str(part.get("number", "")),
-                str(part.get("started", _UNKNOWN)).replace("T", " "),
-                f"{part['finished']:,}" if "finished" in part else "stopped",
-                str(part.get("engine", _UNKNOWN)),
-                str(part.get("workers", _UNKNOWN)),
-                str(part.get("device", _UNKNOWN)),
+                str(segment.get("number", "")),
+                str(segment.get("started", _UNKNOWN)).replace("T", " "),
+                f"{segment['finished']:,}" if "finished" in segment else "stopped",
+                str(segment.get("engine", _UNKNOWN)),
+                str(segment.get("workers", _UNKNOWN)),
+                str(segment.get("device", _UNKNOWN)),
                 _time(seconds["total"]) if "total" in seconds else _UNKNOWN,
                 f"{machine.get('processor', _UNKNOWN)}, {machine.get('cores', '?')} cores, "
                 f"{machine.get('system', '')} {machine.get('architecture', '')}",

@@ -70,7 +70,7 @@ def make_cards(run: Run, scenarios: Sequence[Scenario], chosen: Sequence[Chosen]
     with FilmMaker() as films, Studio() as studio:
         for one in chosen:
             if one.label == Failure.POLICY_ERROR:
-                cards.append(_speechless(run, one, faults.get(one.row["index"], {})))
+                cards.append(_without_action(run, one, faults.get(one.row["index"], {})))
             else:
                 take = _played_again(films, run, scenarios[one.row["index"]], one.row)
                 cards.append(_card(run, one, take, photograph(studio, take)))
@@ -100,12 +100,12 @@ def _card(run: Run, one: Chosen, take: Take, photographs: Photographs) -> Card:
     )
 
 
-def _speechless(run: Run, one: Chosen, fault: Mapping[str, str]) -> Card:
+def _without_action(run: Run, one: Chosen, fault: Mapping[str, str]) -> Card:
     """The card of an episode in which the policy gave no action."""
     step = run.steps[-1] if one.row["failed_step"] is None else one.row["failed_step"]
     facts = [("what happened", str(fault.get("reason", "no action")).replace("_", " "))]
     if fault.get("detail"):
-        facts.append(("its words", str(fault["detail"])))
+        facts.append(("its message", str(fault["detail"])))
     return Card(one.label, one.rank, one.row["scenario"], _step_text(run, step), facts)
 
 

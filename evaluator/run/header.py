@@ -198,7 +198,7 @@ def resume_command(header: dict[str, Any], folder: Path) -> str:
         words += ["--device", devices[-1]]
     for option in ("shard", "batch_size"):
         noted = {str(segment[option]) for segment in header["segments"] if segment.get(option) is not None}
-        if len(noted) == 1:  # a merged run has several shards, and goes on as a whole
+        if len(noted) == 1:  # a merged run has several shards, and continues as a whole
             words += [f"--{option.replace('_', '-')}", *noted]
     words += ["--episodes", str(header["episodes"]), "--output", str(folder)]
     return shlex.join(words)

@@ -1,4 +1,4 @@
-"""From a path to a ``Run``: the one place that decides what a run folder or an entry must be to be believed."""
+"""From a path to a ``Run``: checks what a run folder or a submission file must be."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any, NoReturn
 
 from evaluator.run.check import RunFiles, read_files
 from evaluator.run.entry import read_entry
+from evaluator.run.folder import being_written
 from evaluator.run.header import RUN_FILE, environment_of, isolation_level, read_header, resume_command
-from evaluator.run.lock import being_written
 from evaluator.run.run import AGAIN, Provenance, Run
 from evaluator.run.seal import SUMMARY_FILE, results_name, sealed_files
 from evaluator.run.summary import Audit
@@ -55,7 +55,7 @@ def _refuse_unsealed(folder: Path, header: dict[str, Any]) -> NoReturn:
         raise MissingFileError(message, hint="wait for its end", path=str(folder))
     raise MissingFileError(
         f"{folder} is not sealed: the run was interrupted, or made by a version of rema without seals",
-        hint="run the command that made it again (with its --checkpoint, if it had one): it goes on where it "
+        hint="run the command that made it again (with its --checkpoint, if it had one): it continues where it "
         f"stopped and writes what is missing\n{resume_command(header, folder)}",
         path=str(folder),
     )

@@ -1,4 +1,4 @@
-"""What a run has on disk while it goes on: append-only JSON lines, one segment file a process that wrote.
+"""The records of a run on disk while it runs: append-only JSON lines, one segment file for each writing process.
 
 ``answers-0001.jsonl`` holds what the policy answered, ``outcomes-0001.jsonl`` which action the simulator carried out
 and what came of it: an outcome counts only beside the answer that it belongs to. A process

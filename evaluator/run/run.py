@@ -128,12 +128,12 @@ class Run:
 
     @property
     def kind(self) -> Literal["run", "entry"]:
-        """What it was read from: a run folder, or an entry file."""
+        """What it was read from: a run folder, or a submission file."""
         return "entry" if self.files is None else "run"
 
     @property
     def seal_state(self) -> Literal["whole", "changed", "unsealed"]:
-        """Whether everything is as it was sealed; ``findings`` name what changed."""
+        """Whether something changed since the run was sealed; ``findings`` name it."""
         if self.findings:
             return "changed"
         return "whole" if self.files is None or self.files.sealed else "unsealed"
@@ -251,7 +251,7 @@ class Run:
         return self.source / results_name(self.header)
 
     def faults(self) -> list[Row]:
-        """Answers that are no action: ``index``, ``step``, ``reason``, ``detail``; an IntegrityError if damaged."""
+        """Answers that are not an action: ``index``, ``step``, ``reason``, ``detail``; an IntegrityError if damaged."""
         if not self.counts.policy_errors:
             return []
         answers = (row for _, row in read_journal(self.source / "records", ANSWERS))
@@ -269,6 +269,6 @@ class Run:
         )
 
     def no_folder(self) -> InputError:
-        """The error of an entry where a run folder is needed."""
+        """The error of a submission file where a run folder is needed."""
         hint = "give the folder of the run that it was made from"
-        return InputError(f"{self.source} is an entry of the leaderboard", hint=hint, path=str(self.source))
+        return InputError(f"{self.source} is a submission file", hint=hint, path=str(self.source))

@@ -1,7 +1,7 @@
 """The seal of a run: digests in ``run.json`` of everything that a finished run says, ``run.json`` itself included.
 
-A seal alone tells that nothing changed since it was made, not who made it: who can write in the folder can seal it
-again. A signature over ``run.json`` tells who vouches for it, and a replay whether it is true.
+A seal shows that nothing changed since it was made, not who made it: who can write in the folder can seal it again. A
+signature over ``run.json`` shows who signed it, and a replay whether it is true.
 """
 
 from __future__ import annotations

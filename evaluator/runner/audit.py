@@ -1,10 +1,10 @@
-"""The determinism audit: 1 % of a run again, with nothing equal but the observations and the actions.
+"""The determinism audit: 1 % of a run is repeated in other conditions.
 
 The policy is asked again in a new process, in batches of other sizes and companions; the recorded actions are simulated
 again in a new process, in another order. A policy that remembers earlier questions or answers by position shows as
 action flips, a world that is not a pure function as outcome flips.
 
-The repeats are journals of their own, in ``records/audit``, so that an interrupted audit goes on where it stopped.
+The repeats are journals of their own, in ``records/audit``, so that an interrupted audit continues where it stopped.
 """
 
 from __future__ import annotations

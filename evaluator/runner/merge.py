@@ -15,9 +15,8 @@ from typing import Any
 
 from evaluator.rollout.simulate import check_infrastructure
 from evaluator.run.counts import unfinished
-from evaluator.run.folder import RunFolder
+from evaluator.run.folder import RunFolder, locked
 from evaluator.run.header import read_header, resume_command
-from evaluator.run.lock import locked
 from evaluator.run.plan import Plan, scenario_list
 from evaluator.run.records import ANSWERS, OUTCOMES, Journal, Ledger, Records, read_journal
 from evaluator.runner.audit import audit_summary, repeats

@@ -1,7 +1,7 @@
-"""A first look at a policy: scenarios in the order of the list, until it is better or worse than a run of another.
+"""A quick look at a policy: scenarios in the order of the list, until it is better or worse than another run.
 
-The run grows in steps, in one folder; at each the pairs so far are tested by a sequence that may be looked at as often
-as one likes (``evaluator.statistics.sequential``). Such a run has no rank: evaluated again without a look, it goes on.
+The run grows in steps, in one folder. After each, the pairs so far are tested by a sequence that allows any number of
+tests (``evaluator.statistics.sequential``). Such a run has no rank; evaluated again without --quick, it continues.
 """
 
 from __future__ import annotations

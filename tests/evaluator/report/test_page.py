@@ -147,7 +147,7 @@ def test_another_scenario_list_is_not_played(push_run: Path, tmp_path: Path, mon
     assert "is not the one of the run" in Page(written.path).text
 
 
-def test_an_episode_that_ends_otherwise_says_so(fake_home: Path, installation: Path) -> None:
+def test_an_episode_that_differs_says_so(fake_home: Path, installation: Path) -> None:
     """The fake world's outcomes are not those of the physics."""
     from evaluator.runner import run_evaluation
 

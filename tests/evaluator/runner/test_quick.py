@@ -1,4 +1,4 @@
-"""A first look stops as soon as one policy is significantly better, says so, and leaves a run that goes on."""
+"""A quick run stops as soon as one policy is significantly better, reports it, and can be continued."""
 
 from __future__ import annotations
 
