@@ -79,7 +79,7 @@ def evaluate(
     Raises
     ------
     RemaError
-        As ``evaluator.runner.run_evaluation``: SubmissionError where the policy does not load, PolicyFailureError where
+        SubmissionError where the policy does not load, PolicyFailureError where
         it fails on more than 10 % of the episodes, InputError for an argument that cannot be used.
 
     Examples
@@ -94,10 +94,10 @@ def evaluate(
     from evaluator.runner.shards import RunShard
 
     spec = resolve(str(policy))
-    part = None if shard is None else RunShard.parse(shard)
+    run_shard = None if shard is None else RunShard.parse(shard)
     name = f"{spec.name}-{task}-{protocol}" + ("" if split == "test" else f"-{split}")
-    if part is not None:
-        name += f"-shard-{part.number}-of-{part.count}"
+    if run_shard is not None:
+        name += f"-shard-{run_shard.number}-of-{run_shard.count}"
     config = EvaluationConfig(
         policy=spec,
         task=task,
@@ -112,11 +112,11 @@ def evaluate(
         batch_size=batch_size,
         sandbox=sandbox,
         address=address,
-        shard=part,
+        shard=run_shard,
     )
     if quick is None:
         return run_evaluation(config, progress)
-    if part is not None:
+    if run_shard is not None:
         raise InputError("--quick plays the list in its order", hint="drop --quick or --shard")
     from evaluator.runner.quick import quick_evaluation
 

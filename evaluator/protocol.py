@@ -12,13 +12,36 @@ from rema_data import grid
 from rema_data.errors import InputError
 from rema_data.schema import TASKS, check_task
 
-__all__ = ["ACTION_FLIP_LIMIT", "FAULT_LIMIT", "PROTOCOLS", "acting_steps", "protocol", "protocol_hash"]
+__all__ = [
+    "ACTION_FLIP_LIMIT",
+    "AUDIT_LEAST",
+    "AUDIT_SHARE",
+    "FAULT_CHECK",
+    "FAULT_LIMIT",
+    "FIRST_LOOK",
+    "INFRA_LIMIT",
+    "MAX_BATCH",
+    "PROTOCOLS",
+    "acting_steps",
+    "protocol",
+    "protocol_hash",
+]
 
 FAULT_LIMIT = 0.10
-"""Largest share of a policy's answers that may be faults: above it a run ends as failed."""
+"""Largest share of a policy's answers that may be faults: above it a run fails."""
+FAULT_CHECK = 100
+"""Answers before the share of faults is checked for the first time; it is checked again at the end."""
+INFRA_LIMIT = 0.001
+"""Largest share of episodes that may be lost to the infrastructure."""
 ACTION_FLIP_LIMIT = 0.05
 """Largest share of the repeated questions that may be answered differently: rounding does that to a few. A policy whose
 answers depend on what it was asked before, or in which order, does it to most, and has no rank."""
+AUDIT_SHARE, AUDIT_LEAST = 0.01, 30
+"""Share of the episodes of a run that is repeated, and the smallest number of them."""
+FIRST_LOOK = 100
+"""Episodes of a quick run before its first test; every later test comes after twice as many."""
+MAX_BATCH = 4096
+"""Observations in one question to a policy: about a gigabyte."""
 
 PROTOCOLS: dict[str, str] = {
     "conditional": (

@@ -48,8 +48,8 @@ def replay(
     """
     from evaluator.api import replay as play
     from evaluator.cli.progress import StderrProgress
+    from evaluator.protocol import INFRA_LIMIT
     from evaluator.replay import sign
-    from evaluator.rollout.simulate import INFRA_LIMIT
     from evaluator.run.signature import read_private_key
 
     key = None

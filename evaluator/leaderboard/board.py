@@ -32,7 +32,7 @@ class Board:
     Attributes
     ----------
     rows : tuple of Row
-        Task by task and protocol by protocol: ranked and published rows by rate, then the others by rate.
+        By task and protocol: ranked and published rows by rate, then the others by rate.
     remarks : tuple of str
         What the rows mean, and which of them do not compare.
     refused : tuple of RemaError
@@ -45,24 +45,11 @@ class Board:
 
 
 def leaderboard(sources: Sequence[Path], published: bool = True) -> Board:
-    """The board of runs, entries and the paper.
+    """The board of some run folders and submission files, and of the paper; see ``evaluator.leaderboard``.
 
-    Parameters
-    ----------
-    sources : sequence of Path
-        Finished run folders, and entry files. A run that is there as an entry as well is shown once.
-    published : bool
-        Add the paper's rows: of the tasks that the sources are about, or of all where there is no source.
-
-    Returns
-    -------
-    Board
-        A source that is not finished, or does not hold what was sealed, is left out and named.
-
-    Raises
-    ------
-    MissingFileError, InputError, IntegrityError
-        No source can be read at all: what is wrong with the first one.
+    A run that is there as a submission as well is shown once. A source that is not finished, or changed since it was
+    sealed, is left out and named. The paper's rows are those of the tasks of the sources, or of all where there is no
+    source.
     """
     read, refused = _read(sources)
     runs = _once(read)
@@ -103,20 +90,14 @@ def find_runs(folder: Path) -> list[Path]:
 
 
 def _once(runs: Sequence[Run]) -> list[Run]:
-    """Runs without those that say what an earlier one said; entries come first, as they carry a name and a link."""
+    """Runs without copies of an earlier one; submissions come first, as they carry a name and a link."""
     kept: dict[tuple[object, ...], Run] = {}
     for number, run in enumerate(sorted(runs, key=lambda run: run.kind != "entry")):
         same: tuple[object, ...] = (number,)
         if run.provenance.policy_digest:
             bits = (run.outcomes.success.tobytes(), run.outcomes.eligible.tobytes())
-            same = (
-                run.task,
-                run.protocol,
-                run.split,
-                run.provenance.policy_digest,
-                run.provenance.scenarios_hash,
-                *bits,
-            )
+            marks = (run.provenance.policy_digest, run.provenance.scenarios_hash)
+            same = (run.task, run.protocol, run.split, *marks, *bits)
         kept.setdefault(same, run)
     return list(kept.values())
 
@@ -135,7 +116,7 @@ def _remarks(rows: Sequence[Row], pairs: Sequence[Pair]) -> Iterator[str]:
         yield PUBLISHED_REMARK
     if pairs:
         yield (
-            "ties: policies of one table that share a letter do not differ beyond chance (mid-p McNemar on the same "
+            "ties: policies of one table that share a letter do not differ significantly (mid-p McNemar on the same "
             f"scenarios, Holm over the {len(pairs)} {'pair' if len(pairs) == 1 else 'pairs'} of the board, "
             f"p > {LEVEL:g}). {_power(pairs)}"
         )
@@ -159,16 +140,16 @@ def _remarks(rows: Sequence[Row], pairs: Sequence[Pair]) -> Iterator[str]:
 
 
 def _power(pairs: Sequence[Pair]) -> str:
-    """What the pairs at hand could have found, one by one."""
+    """The smallest difference that these pairs could have shown, one by one."""
     found = [
         difference
         for pair in pairs
         if (difference := detectable_difference(pair.table.n, pair.table.discordance)) is not None
     ]
     if not found:
-        return "At so few discordant scenarios no difference could have been found with 80 % power."
+        return "At so few discordant scenarios no difference could have been shown with 80 % power."
     low, high = (f"{100 * end:.2f}" for end in (min(found), max(found)))
     span = low if low == high else f"{low} to {high}"
     return (
-        f"Smallest difference that a single pair finds with 80 % power: {span} points, by how often the two disagree."
+        f"Smallest difference that a single pair shows with 80 % power: {span} points, by how often the two disagree."
     )

@@ -26,22 +26,13 @@ from rema_data.errors import InputError
 
 __all__ = ["Comparison", "StratumRow", "compare"]
 
-_MUST_AGREE = ("task", "split", "protocol")
-_HASHES = ("protocol_hash", "scenarios_hash")
-
 
 @dataclass(frozen=True, slots=True)
 class StratumRow:
     """The comparison within a stratum; exploratory.
 
-    Attributes
-    ----------
-    by, label : str
-    table : PairTable
-    interval : (float, float)
-        95 % of the difference.
-    p_adjusted : float
-        Mid-p McNemar, Benjamini-Hochberg over all strata.
+    ``interval`` is that of the difference (95 %), ``p_adjusted`` the mid-p McNemar value, Benjamini-Hochberg over all
+    strata.
     """
 
     by: str
@@ -129,16 +120,10 @@ def _numbers(table: PairTable, interval: tuple[float, float]) -> dict[str, Any]:
 
 
 def compare(a: Run, b: Run) -> Comparison:
-    """Compare two runs, scenario by scenario.
+    """Compare two runs, scenario by scenario; see ``evaluator.compare``.
 
     Runs of different length are compared on the scenarios that both have; what one of them lost to the infrastructure
     is left out and named in the remarks.
-
-    Raises
-    ------
-    InputError
-        They are not of one task, split, protocol and scenario list: the message names the field and both values. Or
-        they share no measured scenario.
     """
     _check_comparable(a, b)
     ours, theirs = a.outcomes, b.outcomes
@@ -163,17 +148,9 @@ def compare(a: Run, b: Run) -> Comparison:
 
 
 def _check_comparable(a: Run, b: Run) -> None:
-    """Refuse runs that do not compare.
-
-    Raises
-    ------
-    InputError
-        They are not of one task, split, protocol and scenario list: the message names the field and both values.
-    """
-    pairs = [(field, getattr(a, field), getattr(b, field)) for field in _MUST_AGREE]
-    pairs += [(field, getattr(a.provenance, field), getattr(b.provenance, field)) for field in _HASHES]
-    for field, first, second in pairs:
-        if first != second:
+    """Raise an InputError, with the field and both values, where two runs do not compare."""
+    for field, first in a.comparable.items():
+        if (second := b.comparable[field]) != first:
             raise InputError(
                 f"the runs do not compare: {field} is {first or 'not recorded'} in {a.source} and "
                 f"{second or 'not recorded'} in {b.source}",

@@ -5,27 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from evaluator.protocol import ACTION_FLIP_LIMIT, protocol_hash
+from evaluator.protocol import ACTION_FLIP_LIMIT, INFRA_LIMIT, protocol_hash
 from evaluator.run.run import Run
 from evaluator.scenarios import SPLITS, VERSION, manifest_path
 from rema_data.manifests import read_manifest
 
-__all__ = ["Check", "infra_limit", "installed_list", "obstacles", "rank_checks"]
+__all__ = ["Check", "installed_list", "obstacles", "rank_checks"]
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
     """One condition of a rank, or of a submission.
 
-    Attributes
-    ----------
-    what : str
-        The field.
-    passed : bool
-    required, found : str
-        What it must be, and is.
-    reason : str
-        Why a run that does not meet it has no rank, in a few words for the table.
+    ``what`` is the field, ``required`` what it must be, ``found`` what it is; ``reason`` says in a few words why a run
+    that does not meet it has no rank.
     """
 
     what: str
@@ -36,13 +29,7 @@ class Check:
 
 
 def installed_list(task: str, split: str) -> tuple[str, int] | None:
-    """sha256 and number of scenarios of the frozen list of this installation; None where it has none.
-
-    Raises
-    ------
-    IntegrityError
-        The manifest of the lists cannot be read.
-    """
+    """sha256 and number of scenarios of the frozen list of this installation; None where it has none."""
     path = manifest_path(VERSION)
     if not path.is_file():
         return None
@@ -54,19 +41,12 @@ def installed_list(task: str, split: str) -> tuple[str, int] | None:
     return read_manifest(path, "scenario manifest", named)
 
 
-def infra_limit() -> float:
-    """Largest share of episodes that may be lost to the infrastructure."""
-    from evaluator.runner.run import INFRA_LIMIT  # loads the engines
-
-    return INFRA_LIMIT
-
-
 def rank_checks(run: Run) -> list[Check]:
     """Every condition of a rank, the weightiest first, and whether a run meets it."""
     counts, test, audit, hashes = run.counts, SPLITS[0], run.audit, run.provenance
     sha256, count = installed_list(run.task, test) or ("", 0)
     same_list = bool(sha256) and hashes.scenarios_hash == sha256
-    ours, limit = protocol_hash(run.task, run.protocol), int(infra_limit() * counts.episodes)
+    ours, limit = protocol_hash(run.task, run.protocol), int(INFRA_LIMIT * counts.episodes)
     repeated, outcome_flips, flips, limit_flips = run.stopped_early, 0, 0, 0.0
     if audit is not None:
         repeated, outcome_flips = True, audit.outcome_flips

@@ -93,18 +93,9 @@ def titled_groups(board: Board) -> list[tuple[str, list[Row]]]:
 
 
 def matrix(board: Board, protocol: str) -> tuple[list[str], list[list[str]]]:
-    """One line a policy and one column a task, for a page with little room: rate, interval and letters.
+    """The header and the lines of a table with one line a policy and one column a task: rate, interval and letters.
 
-    Parameters
-    ----------
-    board : Board
-    protocol : str
-
-    Returns
-    -------
-    header : list of str
-    lines : list of list of str
-        Policies without a rank are left out, but for privileged and published ones. Empty cells: not scored.
+    Policies without a rank are left out, except privileged and published ones. Empty cells: not scored.
     """
     shown = [row for row in board.rows if row.protocol == protocol and (not row.unranked or row.tag == PUBLISHED)]
     tasks = [task for task in TASKS if any(row.task == task for row in shown)]

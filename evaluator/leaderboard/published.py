@@ -11,13 +11,7 @@ __all__ = ["published_rate", "published_table"]
 
 
 def published_table() -> dict[str, Any]:
-    """``manifests/published/table2.json``.
-
-    Raises
-    ------
-    MissingFileError, IntegrityError
-        It is not there, or cannot be read.
-    """
+    """Content of ``manifests/published/table2.json``."""
     return read_manifest(manifests_dir() / "published" / "table2.json", "the table of published numbers", dict)
 
 

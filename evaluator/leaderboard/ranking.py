@@ -1,4 +1,4 @@
-"""Who is better than whom: every pair of ranked runs tested on the same scenarios, adjusted for the number of pairs."""
+"""Ranks: every pair of ranked runs is tested on the same scenarios, adjusted for the number of pairs."""
 
 from __future__ import annotations
 
@@ -23,10 +23,9 @@ class Standing:
     Attributes
     ----------
     rank : int or None
-        1 plus the number of policies without privilege that are better beyond chance; None for privileged and unranked
-        runs.
+        1 plus the number of unprivileged policies that are significantly better; None for privileged and unranked runs.
     ties : str
-        Letters of the runs that it does not differ from.
+        Letters that it shares with the runs from which it does not differ significantly.
     unranked : str
         Why it has no rank; empty if it has, or is privileged.
     """
@@ -47,7 +46,7 @@ class Pair:
 
     @property
     def better(self) -> int | None:
-        """The run that is better beyond chance, if one is."""
+        """The run that is significantly better, if one is."""
         if self.p > LEVEL or self.table.only_a == self.table.only_b:
             return None
         return self.first if self.table.only_a > self.table.only_b else self.second

@@ -27,10 +27,9 @@ class Row:
 
     Attributes
     ----------
-    policy : str
+    policy, task, protocol, split, source, link : str
     tag : str
         ``submitted``, ``learned`` (a built-in network), ``privileged``, ``random`` or ``published``.
-    task, protocol, split : str
     successes : int or None
         Not published by the paper.
     episodes : int
@@ -41,31 +40,16 @@ class Row:
         Wilson; Clopper-Pearson where the rate is 0 or 1.
     bounds : (float, float) or None
         The rate if all episodes lost to the infrastructure had failed, or succeeded; None where none was lost.
-    policy_errors, infra_errors : int
-        Policy errors are failures and in the denominator, infrastructure errors are neither.
-    failures : dict of str -> int
-        Failed episodes by label.
-    funnel : tuple of FunnelStep
-        Of the steps in which the policy acts.
-    audit : Audit or None
-        What was repeated, and how much of it differed.
-    rank : int or None
-        1 plus the number of policies that are better beyond chance; None without a rank.
-    ties : str
-        Letters: ranked rows of one task and protocol that share one do not differ. Empty where nothing was compared.
-    unranked : str
-        Why there is no rank.
+    policy_errors, infra_errors, failures, funnel, audit
+        As in ``Run`` and its counts.
+    rank, ties, unranked
+        As in ``Standing``.
     end_to_end : float or None
         The same policy's rate over the whole task, on conditional rows of tasks of several steps.
     z : float or None
         Distance to the published rate of the same policy and task, in standard errors.
-    policy_digest, protocol_hash, scenarios_hash, fingerprint : str
-        What was evaluated, by which rules, on what, and in which simulator. Empty if published.
-    source : str
-        The run folder or the entry.
-    link : str
-    isolation : str
-        Isolation level of the policy's sandbox; empty where it was not recorded, and if published.
+    policy_digest, protocol_hash, scenarios_hash, fingerprint, isolation : str
+        Empty if published.
     """
 
     policy: str

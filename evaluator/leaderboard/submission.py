@@ -27,23 +27,12 @@ _SHOWN = 200
 
 
 def check_run(folder: Path) -> list[Check]:
-    """Every condition that a run must meet to become an entry, and whether it does.
-
-    Parameters
-    ----------
-    folder : Path
-        Run folder of `rema evaluate`.
-
-    Raises
-    ------
-    MissingFileError, InputError, IntegrityError
-        The folder holds no finished and sealed run, or its ``run.json`` cannot be read.
-    """
+    """Every condition that a run must meet to be submitted, and whether it does; the folder must be sealed."""
     return _inspect(folder)[0]
 
 
 def make_entry(folder: Path, name: str = "", link: str = "") -> Run:
-    """A run that meets every condition, as ``encode`` makes an entry of it.
+    """A run that meets every condition, as ``encode`` makes a submission file of it.
 
     Parameters
     ----------
@@ -56,7 +45,7 @@ def make_entry(folder: Path, name: str = "", link: str = "") -> Run:
     Raises
     ------
     MissingFileError, InputError, IntegrityError
-        See ``check_run``; the name or the link cannot be used.
+        As ``read_run``; the name or the link cannot be used.
     SubmissionError
         A condition is not met; the message says which, what is required, and what was found.
     """

@@ -6,8 +6,7 @@ by simulating the recorded actions again and by counting the rows again.
 ::
 
     play      read, draw rows, simulate their recorded actions, compare
-    checks    what can be checked without simulation
-    report    what was found, and the signature that may be put under it
+    report    the findings, and the signature of a run that passed
 """
 
 from __future__ import annotations

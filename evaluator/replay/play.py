@@ -5,30 +5,33 @@ from __future__ import annotations
 import hashlib
 import math
 import secrets
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from evaluator.engines import InfraError, check_engine
 from evaluator.engines.child import call_in_child
-from evaluator.replay.checks import invalid_actions, scenarios_of, world_differences
 from evaluator.replay.report import ReplayReport
 from evaluator.rollout.simulate import pending_jobs, simulate_jobs
-from evaluator.run.actions import recorded_actions
+from evaluator.run.actions import NOT_ASKED, POLICY_ERROR, recorded_actions
 from evaluator.run.check import Finding, row_name, shortened
 from evaluator.run.counts import unfinished
 from evaluator.run.header import RUN_FILE
-from evaluator.run.plan import Plan
+from evaluator.run.plan import Plan, scenario_list
 from evaluator.run.reading import read_run
 from evaluator.run.records import Records
 from evaluator.run.run import Run
-from evaluator.run.seal import SUMMARY_FILE
+from evaluator.run.seal import ACTIONS_FILE, SUMMARY_FILE
 from evaluator.run.signature import SIGNATURE_FILE, is_signed_by, key_name
 from evaluator.run.tables import results_table, scenario_columns
 from evaluator.runner import Backend, default_backend
 from evaluator.scenarios import ScenarioList
+from evaluator.sim.bullet import decisive
 from evaluator.statistics import clopper_pearson
+from rema_data import grid
 from rema_data.errors import InputError
 from rema_data.progress import Progress, Silent
 
@@ -52,35 +55,8 @@ def replay(
 ) -> ReplayReport:
     """Check a finished run: its seal, its signature, its statistics, and a share of its episodes by simulation.
 
-    Parameters
-    ----------
-    folder : Path
-        A run folder; nothing in it is changed.
-    fraction : float
-        Share of the measured episodes that are simulated again, 0 to 1. They are drawn at random, so that no one can
-        know before which rows will be checked.
-    seed : int, optional
-        Draws the same episodes as an earlier replay; by default they are new ones each time.
-    engine, workers, address
-        See ``EvaluationConfig``.
-    public_key : Ed25519PublicKey, optional
-        Must have signed the run.
-    progress : Progress, optional
-    backend : Backend, optional
-        The real world by default; its policy is not used.
-
-    Raises
-    ------
-    InputError
-        The fraction is not a share, or the engine takes no address.
-    MissingFileError
-        There is no run, or it is not finished.
-    IntegrityError
-        ``run.json`` cannot be read.
-    RunMismatchError
-        The run was played on a scenario list that is not the one here.
-    InfrastructureError
-        Workers cannot be started.
+    See ``evaluator.replay``. ``backend`` is the real world by default; its policy is not used. The share is drawn at
+    random, so that it cannot be predicted which rows will be checked.
     """
     if not 0 <= fraction <= 1:
         raise InputError(f"a fraction of {fraction}", hint="give a share from 0 to 1, such as 0.02")
@@ -120,9 +96,9 @@ class _Replay:
     def check(self, engine: str, workers: int | None, address: str | None) -> None:
         """Statistics and rows, as far as they can be read."""
         run, backend, files = self.run, self.backend, self.run.folder
-        scenarios = scenarios_of(run)
+        scenarios = scenario_list(run.header, run.source)
         here = call_in_child(backend.fingerprint)
-        self.differences = world_differences(run, here, backend.protocol_hash(run.task, run.protocol))
+        self.differences = _world_differences(run, here, backend.protocol_hash(run.task, run.protocol))
         if files.table is None or files.table.num_rows != run.header["episodes"]:
             return
         plan = Plan(scenarios.scenarios[: run.counts.episodes], run.task, run.protocol)
@@ -133,7 +109,7 @@ class _Replay:
         if files.actions is None:
             return
         if not self.differences:
-            self.findings += invalid_actions(run, files.actions, plan, backend.valid_actions)
+            self.findings += _invalid_actions(run, files.actions, plan, backend.valid_actions)
         records = recorded_actions(files.actions, plan.steps)
         sample = self._sample(np.flatnonzero(run.outcomes.eligible).tolist())
         drawn = Plan([plan.scenarios[row] for row in sample], run.task, run.protocol)
@@ -219,3 +195,29 @@ class _Replay:
         if self.replayed and self.replayed == self.measured:
             return count / self.replayed, count / self.replayed
         return clopper_pearson(count, self.replayed)
+
+
+def _world_differences(run: Run, fingerprint: dict[str, str], protocol_hash: str) -> dict[str, tuple[Any, Any]]:
+    """How the simulator and the protocol here differ from those of a run: field to (recorded, here).
+
+    Empty where a replay must give the same bits.
+    """
+    known, here = decisive(run.provenance.fingerprint), decisive(fingerprint)
+    pairs = {name: (known.get(name), here.get(name)) for name in sorted(known.keys() | here.keys())}
+    pairs["protocol_hash"] = (run.provenance.protocol_hash, protocol_hash)
+    return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
+
+
+def _invalid_actions(
+    run: Run,
+    actions: npt.NDArray[np.uint16],
+    plan: Plan,
+    valid_actions: Callable[[str, int], npt.NDArray[np.bool_]],
+) -> Iterator[Finding]:
+    """Recorded actions that the protocol does not allow."""
+    for column, step in enumerate(plan.steps):
+        valid = valid_actions(plan.task, step).reshape(grid.ACTIONS)
+        taken = actions[:, column]
+        for row in np.flatnonzero(~valid[taken] & (taken != POLICY_ERROR) & (taken != NOT_ASKED)).tolist():
+            where = f"{row_name(run.table, row)}, step {step}"
+            yield Finding(ACTIONS_FILE, where, f"action {taken[row]} is not a valid one")

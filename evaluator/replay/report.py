@@ -1,4 +1,4 @@
-"""What a replay found, and the signature that may be put under it."""
+"""The findings of a replay, and the signature of a run that passed."""
 
 from __future__ import annotations
 
@@ -26,27 +26,22 @@ class ReplayReport:
     Attributes
     ----------
     run, policy, task, protocol : str
-    merkle_root : str
-        Over the rows of the results table, hexadecimal.
-    run_sha256 : str
-        Of ``run.json``.
+    merkle_root, run_sha256 : str
+        Over the rows of the results table, and of ``run.json``; hexadecimal.
     episodes, unfinished, infra_errors : int
-        Of the run: all, those without a result because it was cut short, those lost to the infrastructure.
+        Of the run: all, those without a result because it was interrupted, those lost to the infrastructure.
     fraction : float
-        Share of the measured episodes that was to be simulated again.
+        Share of the measured episodes to simulate again.
     seed : int or None
         With which they were drawn; None where all or none were.
     replayed, lost : int
-        Episodes simulated again; those of them that could not be simulated here.
+        Episodes simulated again; those that could not be simulated here.
     differences : dict of str to (recorded, here)
-        In what the simulator here differs from that of the run: rows may then differ, which is not a finding.
-    different_rows : int
-        Replayed rows of which any recorded value differed.
-    different_ci95 : (float, float)
-        Clopper-Pearson interval of their share among all measured rows: its upper end bounds the share of false rows.
-    flips : int
-        Replayed rows with another success or another label.
-    flips_ci95 : (float, float)
+        How the simulator here differs from that of the run: rows may then differ, which is not a finding.
+    different_rows, flips : int
+        Replayed rows of which any recorded value differed; those with another success or another label.
+    different_ci95, flips_ci95 : (float, float)
+        Clopper-Pearson intervals of their shares among all measured rows: the upper end bounds the share of false rows.
     signed : bool
         Whether there is a signature.
     signer : str or None
@@ -101,13 +96,11 @@ def sign(folder: Path, report: ReplayReport, key: Ed25519PrivateKey) -> Path:
     Raises
     ------
     InputError
-        Nothing was simulated again, or the run is not finished: there is nothing to vouch for.
+        Nothing was simulated again, or the run is not finished.
     IntegrityError
         The replay found something, or ``run.json`` has changed since.
     RunMismatchError
         The replay had another simulator, so nothing was confirmed.
-    StorageError
-        The folder may not be written.
     """
     if not report.ok:
         raise IntegrityError(f"{folder} is not signed: the replay found something", hint="see the findings")
@@ -119,7 +112,7 @@ def sign(folder: Path, report: ReplayReport, key: Ed25519PrivateKey) -> Path:
     if report.unfinished:
         raise InputError(
             f"{folder} is not signed: {report.unfinished:,} of its {report.episodes:,} episodes have no result",
-            hint="finish the run first: the same `rema evaluate` again goes on with it",
+            hint="finish the run first: the same `rema evaluate` again continues it",
             unfinished=report.unfinished,
         )
     if not report.replayed:

@@ -34,15 +34,7 @@ _HELD = {
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Some measured episodes.
-
-    Attributes
-    ----------
-    label : str
-    n, successes : int
-    low, high : float
-        95 % interval of the rate (``rate_interval``), shares in 0..1.
-    """
+    """Some measured episodes; ``low`` and ``high`` are the 95 % interval of their rate, shares in 0..1."""
 
     label: str
     n: int
@@ -58,22 +50,15 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class Breakdown:
-    """Episodes divided by one property.
-
-    Attributes
-    ----------
-    title : str
-    groups : tuple of Group
-        Two at least; those without episodes are left out.
-    """
+    """Episodes divided by one property; two groups at least, those without episodes are left out."""
 
     title: str
     groups: tuple[Group, ...]
 
     @property
     def reference(self) -> float:
-        """Rate of all these episodes together."""
-        return sum(part.successes for part in self.groups) / sum(part.n for part in self.groups)
+        """Rate of all these episodes."""
+        return sum(group.successes for group in self.groups) / sum(group.n for group in self.groups)
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -19,11 +18,6 @@ from evaluator.statistics import clopper_pearson, format_rate, percent, rate_int
 from rema_data.schema import TASKS
 
 __all__ = [
-    "Fault",
-    "Phase",
-    "StepTimes",
-    "StepTotal",
-    "Timings",
     "criteria",
     "failures",
     "faults",
@@ -36,8 +30,8 @@ __all__ = [
 ]
 
 _SEGMENT_COLUMNS = (
-    "part",
-    "began",
+    "segment",
+    "started",
     "episodes",
     "engine",
     "workers",
@@ -97,11 +91,11 @@ def remarks(run: Run) -> list[str]:
             f"{audit.actions:,} answers of the policy were asked for again: {audit.action_flips:,} differed. "
             f"{audit.outcomes:,} actions were simulated again: {audit.outcome_flips:,} outcomes differed."
         )
-    parts = run.header["segments"]
-    if any(part.get("dirty") for part in parts):
+    segments = run.header["segments"]
+    if any(segment.get("dirty") for segment in segments):
         found.append("The code was changed against its commit while this was computed.")
-    if len({str((part.get("machine"), part.get("versions"))) for part in parts}) > 1:
-        found.append("The run was computed in parts on different machines or with different versions: see provenance.")
+    if len({str((segment.get("machine"), segment.get("versions"))) for segment in segments}) > 1:
+        found.append("The run was computed on different machines or with different versions: see provenance.")
     return found
 
 
@@ -112,86 +106,39 @@ def failures(run: Run) -> list[Group]:
     return [Group(label, eligible, count, *rate_interval(count, eligible)) for label, count in ordered]
 
 
-@dataclass(frozen=True, slots=True)
-class StepTotal:
-    """How many episodes reached and passed a step, and the share in words."""
-
-    name: str
-    attempted: int
-    succeeded: int
-    rate: float
-    text: str
-
-
-def funnel(run: Run) -> list[StepTotal]:
-    """The steps of an end-to-end run of several steps; nothing for other runs."""
+def funnel(run: Run) -> list[dict[str, Any]]:
+    """How many episodes reached and passed each step of an end-to-end run of several steps; nothing for other runs."""
     steps = run.counts.funnel
-    if len(steps) < 2:
-        return []
     return [
-        StepTotal(
-            step_name(run.task, step.step),
-            step.attempted,
-            step.succeeded,
-            step.succeeded / max(1, step.attempted),
-            format_rate(step.succeeded, step.attempted),
-        )
-        for step in steps
+        {
+            "name": step_name(run.task, step.step),
+            "attempted": step.attempted,
+            "succeeded": step.succeeded,
+            "rate": step.succeeded / max(1, step.attempted),
+            "text": format_rate(step.succeeded, step.attempted),
+        }
+        for step in (steps if len(steps) > 1 else ())
     ]
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """A kind of wrong answer: how often, and the words of one."""
-
-    reason: str
-    count: int
-    example: str
-
-
-def faults(run: Run) -> list[Fault]:
-    """What the policy did instead of answering, the commonest first."""
+def faults(run: Run) -> list[tuple[str, int, str]]:
+    """What the policy did instead of answering, the most common first: reason, count and the words of one."""
     rows = run.faults()
     counts = Counter(str(row["reason"]) for row in rows)
     examples = {str(row["reason"]): str(row["detail"] or "") for row in reversed(rows)}
-    return [Fault(reason, count, examples[reason]) for reason, count in counts.most_common()]
+    return [(reason, count, examples[reason]) for reason, count in counts.most_common()]
 
 
-@dataclass(frozen=True, slots=True)
-class Phase:
-    """A part of the wall time; ``start`` and ``share`` are shares of the whole."""
-
-    name: str
-    text: str
-    start: float
-    share: float
-
-
-@dataclass(frozen=True, slots=True)
-class StepTimes:
-    """Seconds of the simulator in one step, ready to print."""
-
-    name: str
-    cells: Sequence[str]
-
-
-@dataclass(frozen=True, slots=True)
-class Timings:
-    """How long a run took, in one sentence, by phase, and by step."""
-
-    text: str
-    phases: Sequence[Phase]
-    steps: Sequence[StepTimes]
-
-
-def timings(run: Run) -> Timings:
-    """Wall time by phase, and the simulator's time by step."""
+def timings(run: Run) -> dict[str, Any]:
+    """Wall time in words and by phase (its start and length are shares of the whole), the simulator's time by step."""
     seconds, speed = run.summary["seconds"], run.summary["episodes_per_second"]
     total = seconds["total"]
-    text = "The parts of this run that ended in an orderly way recorded no time."
+    text = "No process of this run recorded its time."
     phases = []
     if total:
-        workers = ", ".join(str(count) for count in sorted({part.get("workers", 1) for part in run.header["segments"]}))
+        workers = ", ".join(
+            str(count) for count in sorted({segment.get("workers", 1) for segment in run.header["segments"]})
+        )
         text = f"{_time(total)} in all, {speed:,.1f} episodes a second, workers: {workers}."
         named = {name: seconds.get(name, 0.0) for name in PHASES if name != "total"}
         named["other"] = max(0.0, total - sum(named.values()))
@@ -199,7 +146,7 @@ def timings(run: Run) -> Timings:
         for name, value in named.items():
             if not value:
                 continue
-            phases.append(Phase(name, _time(value), start, value / whole))
+            phases.append({"name": name, "text": _time(value), "start": start, "share": value / whole})
             start += value / whole
     steps = []
     for step in sorted({row["step"] for row in run.timings}):
@@ -208,8 +155,8 @@ def timings(run: Run) -> Timings:
         spans = [*np.quantile(values, (0.5, 0.95)), values.max()]
         cells = [f"{len(rows):,}", *(f"{span:.3f}" for span in spans), _time(float(values.sum()))]
         cells += [str(len({row["worker"] for row in rows})), str(sum(row["attempt"] > 1 for row in rows))]
-        steps.append(StepTimes(step_name(run.task, step), cells))
-    return Timings(text, phases, steps)
+        steps.append((step_name(run.task, step), cells))
+    return {"text": text, "phases": phases, "steps": steps}
 
 
 def _time(seconds: float) -> str:
@@ -239,17 +186,17 @@ def provenance(run: Run) -> list[tuple[str, str]]:
 def segments(run: Run) -> Mapping[str, Any]:
     """The processes that computed the run: names of the columns, and a row each."""
     rows = []
-    for part in run.header["segments"]:
-        machine, versions, seconds = (part.get(name) or {} for name in ("machine", "versions", "seconds"))
-        commit = str(part.get("commit") or _UNKNOWN)[:12] + (", changed" if part.get("dirty") else "")
+    for segment in run.header["segments"]:
+        machine, versions, seconds = (segment.get(name) or {} for name in ("machine", "versions", "seconds"))
+        commit = str(segment.get("commit") or _UNKNOWN)[:12] + (", changed" if segment.get("dirty") else "")
         rows.append(
             [
-                str(part.get("number", "")),
-                str(part.get("started", _UNKNOWN)).replace("T", " "),
-                f"{part['finished']:,}" if "finished" in part else "stopped",
-                str(part.get("engine", _UNKNOWN)),
-                str(part.get("workers", _UNKNOWN)),
-                str(part.get("device", _UNKNOWN)),
+                str(segment.get("number", "")),
+                str(segment.get("started", _UNKNOWN)).replace("T", " "),
+                f"{segment['finished']:,}" if "finished" in segment else "stopped",
+                str(segment.get("engine", _UNKNOWN)),
+                str(segment.get("workers", _UNKNOWN)),
+                str(segment.get("device", _UNKNOWN)),
                 _time(seconds["total"]) if "total" in seconds else _UNKNOWN,
                 f"{machine.get('processor', _UNKNOWN)}, {machine.get('cores', '?')} cores, "
                 f"{machine.get('system', '')} {machine.get('architecture', '')}",

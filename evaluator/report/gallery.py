@@ -32,9 +32,8 @@ class Card:
     ----------
     label, rank
         As in ``Chosen``.
-    scenario : str
-    step : str
-        Which step is shown, in words.
+    scenario, step : str
+        The step that is shown is named in words.
     facts : sequence of (name, value)
     take : Take or None
         None where nothing could be played again.
@@ -64,23 +63,14 @@ class Card:
 
 
 def make_cards(run: Run, scenarios: Sequence[Scenario], chosen: Sequence[Chosen], progress: Progress) -> list[Card]:
-    """Play the chosen episodes again and picture them.
-
-    Parameters
-    ----------
-    run : Run
-    scenarios : sequence of Scenario
-        The list of the run.
-    chosen : sequence of Chosen
-    progress : Progress
-    """
+    """Play the chosen episodes again and picture them."""
     progress.phase("play again", len(chosen))
     faults = {fault["index"]: fault for fault in run.faults()}
     cards = []
     with FilmMaker() as films, Studio() as studio:
         for one in chosen:
             if one.label == Failure.POLICY_ERROR:
-                cards.append(_speechless(run, one, faults.get(one.row["index"], {})))
+                cards.append(_without_action(run, one, faults.get(one.row["index"], {})))
             else:
                 take = _played_again(films, run, scenarios[one.row["index"]], one.row)
                 cards.append(_card(run, one, take, photograph(studio, take)))
@@ -110,12 +100,12 @@ def _card(run: Run, one: Chosen, take: Take, photographs: Photographs) -> Card:
     )
 
 
-def _speechless(run: Run, one: Chosen, fault: Mapping[str, str]) -> Card:
+def _without_action(run: Run, one: Chosen, fault: Mapping[str, str]) -> Card:
     """The card of an episode in which the policy gave no action."""
     step = run.steps[-1] if one.row["failed_step"] is None else one.row["failed_step"]
     facts = [("what happened", str(fault.get("reason", "no action")).replace("_", " "))]
     if fault.get("detail"):
-        facts.append(("its words", str(fault["detail"])))
+        facts.append(("its message", str(fault["detail"])))
     return Card(one.label, one.rank, one.row["scenario"], _step_text(run, step), facts)
 
 
@@ -156,15 +146,9 @@ def with_scores(card: Card, scored: Scored) -> Card:
 
 
 def fit(cards: Sequence[Card], room: int) -> list[Card]:
-    """The cards with as many pictures as there is room for.
+    """The cards with as many pictures as fit in ``room`` bytes, with ``MARKUP`` for each.
 
     Photographs come before maps and maps before animations, and the first cards of every label before the second ones.
-
-    Parameters
-    ----------
-    cards : sequence of Card
-    room : int
-        Bytes of all ``data:`` addresses together, with ``MARKUP`` for each.
     """
     wanted: list[tuple[int, int, int, str, int]] = []
     for position, card in enumerate(cards):

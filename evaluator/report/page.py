@@ -20,18 +20,20 @@ __all__ = ["render"]
 
 
 def render(content: Mapping[str, Any]) -> str:
-    """The page.
-
-    Parameters
-    ----------
-    content : mapping
-        Names that the template uses; see ``write_report``.
-    """
+    """The page; ``content`` are the names that the template uses."""
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True)
-    environment.filters.update(percent=_percent, count=_count, words=_words)
+    environment.filters.update(
+        percent=lambda share: f"{percent(share)} %",
+        count="{:,}".format,
+        words=lambda label: str(label).replace("_", " "),
+    )
     style, script = _text("page.css"), _text("page.js")
     own = {"style": style, "script": script, "style_hash": _hash(style), "script_hash": _hash(script)}
-    helpers = {"share_of": _share_of, "interval": _interval, "version": _version()}
+    helpers = {
+        "share_of": lambda share: f"{100 * share:.2f}%",  # a length in a drawing
+        "interval": lambda low, high: f"[{format_interval((low, high))}]",
+        "version": _version(),
+    }
     return environment.from_string(_text("page.html.j2")).render({**content, **own, **helpers})
 
 
@@ -42,27 +44,6 @@ def _text(name: str) -> str:
 def _hash(text: str) -> str:
     """Of an inline style or script, as a content security policy names it."""
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
-
-
-def _count(number: int) -> str:
-    return f"{number:,}"
-
-
-def _words(label: str) -> str:
-    return str(label).replace("_", " ")
-
-
-def _share_of(share: float) -> str:
-    """A length in a drawing."""
-    return f"{100 * share:.2f}%"
-
-
-def _interval(low: float, high: float) -> str:
-    return f"[{format_interval((low, high))}]"
-
-
-def _percent(share: float) -> str:
-    return f"{percent(share)} %"
 
 
 def _version() -> str:

@@ -17,54 +17,27 @@ from evaluator.policy import PolicyFault, PolicyHost
 from evaluator.policy.load_errors import printable
 from evaluator.policy.loading import PolicySpec, digest
 from evaluator.report.breakdown import Group, group
-from evaluator.report.selection import spread
 from evaluator.rollout.ask import question
 from evaluator.rollout.backend import default_backend
 from evaluator.run.run import Row, Run
 from rema_data import grid
 from rema_data.errors import RunMismatchError, SubmissionError
-from rema_data.schema import Scenario, Situation
+from rema_data.schema import Situation
 
-__all__ = ["Asked", "Bin", "Scored", "ask_scores", "calibration", "check_policy", "scored_episodes", "situation_of"]
+__all__ = ["Bin", "Scored", "ask_scores", "calibration", "check_policy"]
 
 BATCH = 16
 CUTS = (0.2, 0.4, 0.6, 0.8)
 """Shares of the episodes at which the calibration is cut; equal scores stay together."""
 _SAID = 1000  # characters of what it printed
 
-Note = Callable[[str], None]
-
-
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """Who is asked for scores.
-
-    Attributes
-    ----------
-    policy : PolicySpec
-    checkpoint : Path or None
-    device : str
-        Handed to the policy.
-    sandbox : str or None
-        Wrapper of its process, as for ``rema evaluate``.
-    """
-
-    policy: PolicySpec
-    checkpoint: Path | None = None
-    device: str = "cpu"
-    sandbox: str | None = None
-
 
 @dataclass(frozen=True, slots=True)
 class Scored:
     """Scores of one question.
 
-    Attributes
-    ----------
-    chosen : float
-        Score of the recorded action.
-    best : float32 (64, 64)
-        Highest score of every place over its valid angles; NaN where none is valid.
+    ``chosen`` is that of the recorded action, ``best`` (float32, 64 x 64) the highest of every place over its valid
+    angles, NaN where none is valid.
     """
 
     chosen: float
@@ -80,15 +53,7 @@ class Bin:
 
 
 def check_policy(run: Run, policy: PolicySpec, checkpoint: Path | None) -> None:
-    """Refuse a policy that is not the one of the run.
-
-    Raises
-    ------
-    RunMismatchError
-        Its digest is another one.
-    MissingFileError
-        Code or weights are not there.
-    """
+    """Refuse a policy that is not that of the run: a RunMismatchError where its digest differs."""
     got, recorded = digest(policy, checkpoint), run.provenance.policy_digest
     if got != recorded:
         raise RunMismatchError(
@@ -101,37 +66,26 @@ def check_policy(run: Run, policy: PolicySpec, checkpoint: Path | None) -> None:
         )
 
 
-def scored_episodes(run: Run, count: int) -> list[Row]:
-    """Episodes with an action for the first step of the policy, ``count`` at most, spread over the list."""
-    step = run.steps[0]
-    rows = [row for row in run.measured if row[f"step{step}_action"] is not None]
-    return spread([row for row in rows if row[f"step{step}_success"] is not None], count)
-
-
 def ask_scores(
-    asked: Asked, questions: Sequence[tuple[Situation, int]], run: Path | None = None, note: Note | None = None
+    policy: PolicySpec,
+    questions: Sequence[tuple[Situation, int]],
+    checkpoint: Path | None = None,
+    device: str = "cpu",
+    sandbox: str | None = None,
+    *,
+    run: Path | None = None,
+    note: Callable[[str], None] | None = None,
 ) -> list[Scored]:
     """Scores of some situations and of the actions that were taken in them.
 
-    Parameters
-    ----------
-    asked : Asked
-    questions : sequence of (Situation, int)
-    run : Path or None
-        Folder of the run, whose outcomes the policy must not see.
-    note : callable, optional
-        Told the isolation level of the policy.
-
-    Raises
-    ------
-    SubmissionError
-        The policy cannot be loaded, has no maps, or gave something else.
+    ``run`` is the folder whose outcomes the policy must not see; ``note`` is told the isolation level. A
+    SubmissionError where the policy cannot be loaded, has no maps, or gave something else.
     """
     by_step: dict[tuple[str, int], list[int]] = {}
     for number, (situation, _) in enumerate(questions):
         by_step.setdefault((situation.task, situation.step), []).append(number)
     found: dict[int, Scored] = {}
-    with PolicyHost(asked.policy, asked.checkpoint, asked.device, run=run, sandbox=asked.sandbox) as host:
+    with PolicyHost(policy, checkpoint, device, run=run, sandbox=sandbox) as host:
         if note is not None:
             note(f"policy sandbox: {host.isolation}")
         for numbers in by_step.values():
@@ -169,19 +123,7 @@ def _no_maps(host: PolicyHost, why: str) -> SubmissionError:
 def calibration(rows: Sequence[Row], step: int, scores: Sequence[float]) -> list[Bin]:
     """Scores against success: groups of about equal size, from the lowest scores to the highest.
 
-    Parameters
-    ----------
-    rows : sequence of mapping
-        Of the results table.
-    step : int
-        The step whose scores they are; success is its own.
-    scores : sequence of float
-        Shares in 0..1, one a row.
-
-    Returns
-    -------
-    list of Bin
-        Empty where there are no rows.
+    ``scores`` are shares in 0..1, one a row, of ``step``, whose success counts. Empty where there are no rows.
     """
     if not rows:
         return []
@@ -197,8 +139,3 @@ def calibration(rows: Sequence[Row], step: int, scores: Sequence[float]) -> list
             label = f"{values[mine].min():.3f} to {values[mine].max():.3f}"
             bins.append(Bin(float(values[mine].mean()), group(label, chosen)))
     return bins
-
-
-def situation_of(scenario: Scenario, run: Run) -> Situation:
-    """The first situation in which the policy acted: it depends on the scenario alone."""
-    return scenario.first_situation() if run.end_to_end else scenario.last_situation()

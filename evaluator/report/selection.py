@@ -17,14 +17,8 @@ SUCCESS = "success"
 class Chosen:
     """An episode of the gallery.
 
-    Attributes
-    ----------
-    label : str
-        ``success``, or the failure label.
-    rank : int
-        Position among the chosen ones of its label, from 0.
-    row : mapping
-        Of the results table.
+    ``label`` is ``success`` or the failure label, ``rank`` the position among the chosen ones of the label, from 0, and
+    ``row`` that of the results table.
     """
 
     label: str
@@ -33,14 +27,7 @@ class Chosen:
 
 
 def choose(run: Run, per_label: int) -> list[Chosen]:
-    """``per_label`` episodes of every label, spread over the list; successes first, then the commonest failure.
-
-    Parameters
-    ----------
-    run : Run
-    per_label : int
-        At most so many of a label; 0 for none.
-    """
+    """At most ``per_label`` episodes of every label, spread over the list; successes, then failures by frequency."""
     by_label: dict[str, list[Row]] = {SUCCESS: []}
     for row in run.measured:
         by_label.setdefault(SUCCESS if row["success"] else row["failure"], []).append(row)

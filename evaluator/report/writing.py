@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 from evaluator.protocol import protocol_hash
 from evaluator.report import content
 from evaluator.report.breakdown import breakdowns, place_map
-from evaluator.report.selection import Chosen, choose
+from evaluator.report.selection import choose, spread
+from evaluator.run.plan import scenario_list
 from evaluator.run.reading import read_run
-from evaluator.run.run import Row, Run
-from evaluator.scenarios import ScenarioList, load_list
+from evaluator.run.run import Run
 from evaluator.statistics import percent
 from rema_data.errors import InputError, RemaError
 from rema_data.progress import Progress, Silent
@@ -23,7 +23,7 @@ from rema_data.storage import write_atomic
 if TYPE_CHECKING:
     from evaluator.policy.loading import PolicySpec
     from evaluator.report.gallery import Card
-    from evaluator.report.scores import Bin
+    from rema_data.schema import Scenario
 
 __all__ = ["PAGE_NAME", "ReportOptions", "WrittenReport", "write_report"]
 
@@ -80,13 +80,11 @@ class WrittenReport:
     path : Path
     size : int
         Bytes.
-    shown : int
-        Episodes of the gallery.
+    shown, scored : int
+        Episodes of the gallery, and of the calibration.
     agreement : mapping of str to int
-        Of the episodes that were played again: how many were ``identical``, ended with the ``same label``, or were
+        How many of the episodes that were played again were ``identical``, had the ``same label``, or were
         ``different``.
-    scored : int
-        Episodes in the calibration.
     left_out : int
         Pictures that there was no room for.
     """
@@ -102,9 +100,7 @@ class WrittenReport:
 def write_report(
     run: Path, output: Path | None = None, options: ReportOptions | None = None, progress: Progress | None = None
 ) -> WrittenReport:
-    """Write the page of a finished run.
-
-    The same run gives the same bytes on the same installation.
+    """Write the page of a finished run: the same bytes for the same run on the same installation.
 
     Parameters
     ----------
@@ -117,16 +113,12 @@ def write_report(
 
     Raises
     ------
-    MissingFileError
-        There is no such run, it did not finish, or weights are not there.
-    InputError, IntegrityError
-        A file of the run cannot be read or contradicts another; the extra ``report`` is not installed.
+    MissingFileError, InputError, IntegrityError
+        As ``read_run``; weights are missing; the extra ``report`` is not installed.
     RunMismatchError
         The policy that was named is not the one of the run.
     SubmissionError
         The policy gives no maps.
-    StorageError
-        The page cannot be written.
     """
     options, progress = options or ReportOptions(), progress or Silent()
     finished = read_run(run)
@@ -139,23 +131,17 @@ def write_report(
         raise InputError(
             f"reports need {error.name}, which is not installed", hint='pip install "rema[report]"'
         ) from error
-    pictures = _pictures(finished, options, progress)
-    said = {
-        **_words(finished),
-        **pictures.words(),
-        "meaning": FAILURES,
-        "photo": PHOTO,
-        "film": FILM,
-        "map": MAP_PIXELS,
-    }
-    bare = len(render({**said, "cards": fit(pictures.cards, 0)}).encode())
-    cards = fit(pictures.cards, options.limit_bytes - bare)
+    cards, said = _pictures(finished, options, progress)
+    said |= {**_words(finished), **_gallery_words(finished, cards, options.per_label)}
+    said |= {"meaning": FAILURES, "photo": PHOTO, "film": FILM, "map": MAP_PIXELS}
+    bare = len(render({**said, "cards": fit(cards, 0)}).encode())
+    cards = fit(cards, options.limit_bytes - bare)
     page = render({**said, "cards": cards}).encode()
     path = output or run / PAGE_NAME
     write_atomic(path, page)
     agreement = Counter(card.agreement for card in cards if card.agreement)
     left_out = sum(len(card.left_out) for card in cards)
-    return WrittenReport(path, len(page), len(cards), dict(agreement), pictures.scored, left_out)
+    return WrittenReport(path, len(page), len(cards), dict(agreement), said["scored"], left_out)
 
 
 def _words(run: Run) -> dict[str, Any]:
@@ -193,99 +179,91 @@ def _words(run: Run) -> dict[str, Any]:
     }
 
 
-@dataclass(frozen=True, slots=True)
-class _Pictures:
-    """The gallery and the calibration, or why they are missing."""
+def _gallery_words(run: Run, cards: Sequence[Card], per_label: int) -> dict[str, Any]:
+    """What the page says about the cards."""
+    from rema_data.pictures import LEGEND
 
-    run: Run
-    cards: Sequence[Card]
-    reason: str
-    bins: Sequence[Bin]
-    scores_note: str
-    scored: int
-    per_label: int
-
-    def words(self) -> dict[str, Any]:
-        from rema_data.pictures import LEGEND
-
-        totals = {"success": self.run.counts.successes, **self.run.counts.failures}
-        shown = Counter(card.label for card in self.cards)
-        return {
-            "gallery_reason": self.reason,
-            "gallery_note": self._note(),
-            "labels": [(label, count, totals.get(label, count)) for label, count in shown.items()],
-            "legend": [("#{:02x}{:02x}{:02x}".format(*colour), text) for colour, text in LEGEND],
-            "animated": any(card.photographs and card.photographs.film for card in self.cards),
-            "bins": self.bins,
-            "scores_note": self.scores_note,
-        }
-
-    def _note(self) -> str:
-        seen = Counter(card.agreement for card in self.cards if card.agreement)
-        note = (
-            f"Up to {self.per_label} of every label, spread over the list, played again from the recorded actions "
-            f"where this page was made: of {seen.total()}, {seen['identical']} were the same to the last digit"
-        )
-        if seen["same label"]:
-            note += f", {seen['same label']} ended the same way with other measurements"
-        note += f", and {seen['different']} ended differently."
-        if protocol_hash(self.run.task, self.run.protocol) != self.run.provenance.protocol_hash:
-            note += " This installation has another protocol than the run: expect differences."
-        return note
+    totals = {"success": run.counts.successes, **run.counts.failures}
+    shown = Counter(card.label for card in cards)
+    seen = Counter(card.agreement for card in cards if card.agreement)
+    note = (
+        f"Up to {per_label} of every label, spread over the list, played again from the recorded actions where this "
+        f"page was made: of {seen.total()}, {seen['identical']} were the same to the last digit"
+    )
+    if seen["same label"]:
+        note += f", {seen['same label']} had the same label with other measurements"
+    note += f", and {seen['different']} differed."
+    if protocol_hash(run.task, run.protocol) != run.provenance.protocol_hash:
+        note += " This installation has another protocol than the run: expect differences."
+    return {
+        "gallery_note": note,
+        "labels": [(label, count, totals.get(label, count)) for label, count in shown.items()],
+        "legend": [("#{:02x}{:02x}{:02x}".format(*colour), text) for colour, text in LEGEND],
+        "animated": any(card.photographs and card.photographs.film for card in cards),
+    }
 
 
-def _pictures(run: Run, options: ReportOptions, progress: Progress) -> _Pictures:
-    from evaluator.report.gallery import make_cards, with_scores
-    from evaluator.report.scores import Asked, ask_scores, calibration, check_policy, scored_episodes, situation_of
+def _pictures(run: Run, options: ReportOptions, progress: Progress) -> tuple[list[Card], dict[str, Any]]:
+    """The cards of the gallery, and the calibration for the page; or why they are missing."""
+    from evaluator.report.gallery import make_cards
+    from evaluator.report.scores import check_policy
 
     if options.policy is not None:
         check_policy(run, options.policy, options.checkpoint)
+    said: dict[str, Any] = {"gallery_reason": "", "bins": [], "scored": 0}
     try:
-        scenarios = _scenarios(run)
+        scenarios = scenario_list(run.header, run.source).scenarios
     except RemaError as error:
         reason = f"Episodes cannot be played again here: {error.message}."
-        return _Pictures(run, (), reason, (), reason, 0, options.per_label)
-    chosen: Sequence[Chosen] = choose(run, options.per_label)
-    cards = make_cards(run, scenarios.scenarios, chosen, progress) if chosen else []
-    reason = "" if chosen else "No episode is shown: none was asked for, or none was measured."
-    if options.policy is None:
-        note = (
-            "A run records actions and no scores. Name its policy (--policy, and --checkpoint where it has one) to see "
-            "the maps and the calibration of one that has them."
-        )
-        return _Pictures(run, cards, reason, (), note, 0, options.per_label)
+        return [], {**said, "gallery_reason": reason, "scores_note": reason}
+    chosen = choose(run, options.per_label)
+    cards = make_cards(run, scenarios, chosen, progress) if chosen else []
+    if not chosen:
+        said["gallery_reason"] = "No episode is shown: none was asked for, or none was measured."
+    if options.policy is not None:
+        return cards, said | _scores(run, scenarios, options, options.policy, cards, progress)
+    said["scores_note"] = (
+        "A run records actions and no scores. Name its policy (--policy, and --checkpoint where it has one) to see "
+        "the maps and the calibration of one that has them."
+    )
+    return cards, said
 
-    rows: list[Row] = scored_episodes(run, options.scored)
-    step = run.steps[0]
-    places = [n for n, card in enumerate(cards) if card.take is not None]
-    takes = [card.take for card in cards if card.take is not None]
-    questions = [(take.situation, take.action) for take in takes]
-    questions += [(situation_of(scenarios.scenarios[row["index"]], run), row[f"step{step}_action"]) for row in rows]
+
+def _scores(
+    run: Run,
+    scenarios: Sequence[Scenario],
+    options: ReportOptions,
+    policy: PolicySpec,
+    cards: list[Card],
+    progress: Progress,
+) -> dict[str, Any]:
+    """The calibration for the page; the cards get their maps."""
+    from evaluator.report.gallery import with_scores
+    from evaluator.report.scores import ask_scores, calibration
+
+    step = run.steps[0]  # its situation depends on the scenario alone
+    rows = [row for row in run.measured if row[f"step{step}_action"] is not None]
+    rows = spread([row for row in rows if row[f"step{step}_success"] is not None], options.scored)
+    questions = [(card.take.situation, card.take.action) for card in cards if card.take is not None]
+    shown = len(questions)
+    for row in rows:
+        scenario = scenarios[row["index"]]
+        situation = scenario.first_situation() if run.end_to_end else scenario.last_situation()
+        questions.append((situation, row[f"step{step}_action"]))
     progress.phase("ask", len(questions))
-    asked = Asked(options.policy, options.checkpoint, options.device, options.sandbox)
-    answers = ask_scores(asked, questions, run.source, progress.note) if questions else []
+    answers = []
+    if questions:
+        policy_options = (options.checkpoint, options.device, options.sandbox)
+        answers = ask_scores(policy, questions, *policy_options, run=run.source, note=progress.note)
     progress.advance(len(questions))
-    for n, answer in zip(places, answers, strict=False):
+    for n, answer in zip((n for n, card in enumerate(cards) if card.take is not None), answers, strict=False):
         cards[n] = with_scores(cards[n], answer)
-    scores = [answer.chosen for answer in answers[len(takes) :]]
+    scores = [answer.chosen for answer in answers[shown:]]
     if not all(0 <= score <= 1 for score in scores):
         note = "The policy's scores are not shares between 0 and 1: there is no calibration to show."
-        return _Pictures(run, cards, reason, (), note, 0, options.per_label)
+        return {"scores_note": note}
     note = (
         f"The run recorded no scores: the policy was asked again about {len(rows):,} episodes, spread over the list, "
-        f"and about those above. Scored is step {content.step_name(run.task, step)}."
+        f"and about those above. The scores are those of step {content.step_name(run.task, step)}."
     )
-    bins = calibration(rows, step, scores)
-    return _Pictures(run, cards, reason, bins, note, len(rows), options.per_label)
-
-
-def _scenarios(run: Run) -> ScenarioList:
-    """The list of the run; an error where this installation does not have it."""
-    version = str(run.rows[0]["scenario"]).partition("/")[0]
-    scenarios = load_list(run.task, run.split, version)
-    if scenarios.sha256 != run.provenance.scenarios_hash or len(run.rows) > len(scenarios.scenarios):
-        raise InputError(
-            f"the {run.task}/{run.split} list {version} of this installation is not the one of the run",
-            hint="install the version of rema that made the run",
-        )
-    return scenarios
+    return {"bins": calibration(rows, step, scores), "scores_note": note, "scored": len(rows)}

@@ -8,16 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from evaluator.engines import Engine, InfraError, Job, make_engine
+from evaluator.protocol import INFRA_LIMIT
 from evaluator.run.plan import arrange, job_batches
 from evaluator.run.records import Ledger, Records, Simulated
 from rema_data.errors import InfrastructureError
 from rema_data.progress import Progress
 from rema_data.schema import Situation, StepOutcome
 
-__all__ = ["INFRA_LIMIT", "check_infrastructure", "pending_jobs", "simulate_jobs"]
-
-INFRA_LIMIT = 0.001
-"""Largest share of episodes that may be lost to the infrastructure."""
+__all__ = ["check_infrastructure", "pending_jobs", "simulate_jobs"]
 
 
 def pending_jobs(alive: Mapping[int, Situation], step: int, records: Records) -> list[Job]:

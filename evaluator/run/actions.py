@@ -1,7 +1,7 @@
-"""``actions.bin``: what the policy did, two bytes a step, enough to play the whole run again.
+"""``actions.bin``: the actions of the policy, two bytes a step: enough to simulate the whole run again.
 
-The file is nothing but little-endian uint16, one row an episode and one column for every step that the policy acts in,
-in the order of the scenarios: ``numpy.fromfile(path, "<u2").reshape(episodes, -1)``. A value is a grid index, or one of
+The file holds little-endian uint16 only, one row an episode and one column for every step that the policy acts in, in
+the order of the scenarios: ``numpy.fromfile(path, "<u2").reshape(episodes, -1)``. A value is a grid index, or one of
 two that no action can have, because their pixel lies in the corner of the map that may not be acted on.
 """
 

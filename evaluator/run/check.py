@@ -39,11 +39,8 @@ class Finding:
 
     Attributes
     ----------
-    file : str
-        Name in the run folder.
-    where : str
-        Row, field or column; empty where the whole file is meant.
-    detail : str
+    file, where, detail : str
+        Name in the run folder; row, field or column (empty for the whole file); and what is wrong.
     """
 
     file: str
@@ -56,24 +53,19 @@ class Finding:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunFiles:
-    """A run as it lies in its folder.
+    """A run as it lies in its folder. What cannot be read is None, and a finding says why.
 
     Attributes
     ----------
-    header : dict
-        Content of ``run.json``.
-    payload : bytes
-        Of ``run.json``.
-    table : pyarrow.Table or None
-        The results table; None where it cannot be read.
-    stored : pyarrow.Table or None
-        The same with the columns that the file has: without those that are newer than it.
+    header, payload
+        Content of ``run.json``, and its bytes.
+    table, stored : pyarrow.Table or None
+        The results table; and the same without the columns that are newer than the file.
     counts : Counts or None
         Of the table.
     actions : uint16 (episodes, steps) or None
-        ``actions.bin``; the table's own actions where that is not as sealed, None where it was not read.
+        ``actions.bin``, or the table's own actions where the file changed. Only read if rows are compared.
     summary : dict or None
-        ``summary.json``; None where it cannot be read.
     findings : tuple of Finding
         Empty where everything is as it was sealed, and the files agree.
     """
@@ -103,20 +95,8 @@ def row_name(table: pa.Table | None, row: int) -> str:
 def read_files(folder: Path, header: dict[str, Any], payload: bytes, *, every_row: bool) -> RunFiles:
     """Read the files of a run, and compare them with the seal where there is one.
 
-    Parameters
-    ----------
-    folder : Path
-    header : dict
-        Content of ``run.json``.
-    payload : bytes
-        Of ``run.json``.
-    every_row : bool
-        Compare rows and actions one by one even where every file has the bytes that were sealed.
-
-    Raises
-    ------
-    InputError
-        ``summary.json`` is as it was written, and is not the summary of a run.
+    ``every_row`` compares rows and actions one by one even where every file has the bytes that were sealed. An
+    InputError says that ``summary.json`` is as it was written, but not the summary of a run.
     """
     found = list(_header_findings(header, payload)) if "seal" in header else []
     identity = header["identity"]

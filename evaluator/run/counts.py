@@ -36,17 +36,14 @@ class Counts:
 
     Attributes
     ----------
-    episodes : int
-        Scenarios of the run.
-    eligible : int
-        Those that were measured: the denominator.
-    successes : int
+    episodes, eligible, successes : int
+        Scenarios of the run; those that were measured, which are the denominator; those that succeeded.
     failures : dict of str -> int
         Failed episodes by label.
     policy_errors : int
-        Failures without an answer: in the denominator.
+        Failures without a valid answer: in the denominator.
     infra_errors : int
-        Episodes lost to the infrastructure: in no denominator.
+        Episodes lost to the infrastructure: not in the denominator.
     funnel : tuple of FunnelStep
         Of the steps in which the policy acts.
     """
@@ -111,16 +108,7 @@ def count_rows(table: pa.Table, steps: Sequence[int]) -> Counts:
 def summary_numbers(counts: Counts, table: pa.Table) -> dict[str, Any]:
     """What ``summary.json`` says about the rows of a results table, ready for JSON.
 
-    Parameters
-    ----------
-    counts : Counts
-        Of ``table``.
-    table : pyarrow.Table
-
-    Returns
-    -------
-    dict
-        ``success_rate`` and ``ci95`` are null where no episode is eligible; ``failures`` begin with the commonest.
+    ``success_rate`` and ``ci95`` are null where no episode is eligible; ``failures`` begin with the most common.
     """
     numbers = {
         "episodes": counts.episodes,

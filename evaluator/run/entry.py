@@ -1,4 +1,4 @@
-"""Entries of the leaderboard: a small sealed JSON file that says who solved which scenario.
+"""Submission files of the leaderboard: a small sealed JSON file with the outcome of every scenario.
 
 The seal (sha256 over the canonical form of everything else) shows damage and careless edits; it is not a signature.
 What a file says about its counts is recounted from the packed outcomes, so the two cannot disagree.
@@ -33,7 +33,7 @@ __all__ = ["Link", "Name", "encode", "find_entries", "read_entry"]
 
 FORMAT = 1
 MAX_BYTES = 10_000
-"""An entry over 10,000 scenarios stays below this; a larger file is not an entry."""
+"""A submission over 10,000 scenarios stays below this; a larger file is not a submission."""
 _AGAIN = "get the file again, or make it again with `rema submit RUN`"
 
 
@@ -55,7 +55,7 @@ Name = Annotated[str, AfterValidator(_name)]
 Link = Annotated[str, AfterValidator(_link)]
 """The address of a policy's paper or code, or nothing."""
 _Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
-_Mark = Annotated[str, Field(pattern="^[A-Za-z0-9_.-]{1,80}$")]
+_Field = Annotated[str, Field(pattern="^[A-Za-z0-9_.-]{1,80}$")]
 
 
 @record
@@ -66,11 +66,11 @@ class _Policy:
 
 
 @record
-class _Marks:
+class _Provenance:
     policy_digest: _Sha256
     protocol_hash: _Sha256
     scenarios_hash: _Sha256
-    fingerprint: Annotated[dict[_Mark, _Mark], Field(min_length=1)]
+    fingerprint: Annotated[dict[_Field, _Field], Field(min_length=1)]
 
 
 @record
@@ -93,7 +93,7 @@ class _Entry:
     split: Literal["test", "val"]
     protocol: Protocol
     counts: Counts
-    marks: _Marks
+    marks: _Provenance
     provenance: dict[str, str | int | bool | None]
     audit: Audit
     evidence: _Evidence
@@ -102,13 +102,7 @@ class _Entry:
 
 
 def encode(run: Run) -> bytes:
-    """The entry of a run, sealed: the same bytes for the same run.
-
-    Raises
-    ------
-    InputError
-        The run has no audit.
-    """
+    """The submission file of a run, sealed: the same bytes for the same run. An InputError if it has no audit."""
     if run.audit is None:
         raise InputError(f"{run.source} has no audit", hint="evaluate the policy again", path=str(run.source))
     mark = run.provenance
@@ -157,18 +151,16 @@ def _unpack(text: str, count: int) -> npt.NDArray[np.bool_]:
 
 
 def read_entry(path: Path) -> Run:
-    """A run from its entry, whose seal and counts were checked.
+    """A run from its submission file, whose seal and counts were checked.
 
     Raises
     ------
-    MissingFileError
-        There is no such file.
-    IntegrityError
-        It is not an entry, has a newer format, its seal is broken, or its counts are not those of its outcomes.
+    MissingFileError, IntegrityError
+        There is no such file; or it is not a submission, has a newer format, a broken seal, or wrong counts.
     """
     if not path.is_file():
         raise MissingFileError(f"{path} does not exist", hint="check the path", path=str(path))
-    refused = f"leaderboard entry {path} is refused"
+    refused = f"submission file {path} is refused"
     try:
         with path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
@@ -205,7 +197,7 @@ def read_entry(path: Path) -> Run:
 
 
 def _outcomes(entry: _Entry) -> Outcomes:
-    """The outcomes of an entry; a ValueError where its counts are not theirs."""
+    """The outcomes of a submission; a ValueError where its counts differ."""
     counts = entry.counts
     unknown = sorted(entry.counts.failures.keys() - {label.value for label in Failure})
     if unknown:
@@ -225,5 +217,5 @@ def _outcomes(entry: _Entry) -> Outcomes:
 
 
 def find_entries() -> list[Path]:
-    """The entries that come with this installation, sorted by name."""
+    """The submission files that come with this installation, sorted by name."""
     return sorted((manifests_dir() / "leaderboard").glob("*.json"))

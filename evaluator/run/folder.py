@@ -1,7 +1,8 @@
-"""The run folder: who it belongs to, who is writing in it, and what every writing process did."""
+"""The run folder: its identity, its lock, and what every writing process did."""
 
 from __future__ import annotations
 
+import errno
 import json
 import secrets
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,9 +10,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from filelock import FileLock, Timeout
+
 from evaluator.run.environment import environment
 from evaluator.run.header import RUN_FILE, RUN_FORMAT, encode_header, read_header
-from evaluator.run.lock import locked
 from evaluator.run.seal import (
     ACTIONS_FILE,
     LEAVES_FILE,
@@ -25,23 +27,58 @@ from evaluator.run.signature import SIGNATURE_FILE
 from rema_data.errors import InputError, RunMismatchError
 from rema_data.storage import storage_errors, write_atomic
 
-__all__ = ["RunFolder"]
+__all__ = ["RunFolder", "being_written", "locked"]
 
 TIMINGS_FILE = "timings.parquet"
 _LOG_FILE = "policy.log"
+_LOCK_FILE = ".lock"
+_NOT_WRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS)
 _RESULTS = (RESULTS_FILE, OLD_RESULTS_FILE, SUMMARY_FILE)
 _FILES = (RUN_FILE, RESULTS_FILE, ACTIONS_FILE, LEAVES_FILE, TIMINGS_FILE, SUMMARY_FILE, _LOG_FILE, SIGNATURE_FILE)
 
 
-class RunFolder:
-    """``run.json`` and the paths of a run. Use ``RunFolder.locked``.
+@contextmanager
+def locked(folder: Path, hint: str, *, only_reading: bool = False) -> Iterator[None]:
+    """Hold a run folder for this process alone.
 
-    Attributes
-    ----------
-    path : Path
-    header : dict
-        Content of ``run.json``.
+    A reader (``only_reading``) of a folder that cannot be written continues without the lock.
+
+    Raises
+    ------
+    InputError
+        Another process holds it; ``hint`` says what to do then.
     """
+    lock = FileLock(folder / _LOCK_FILE, timeout=0)
+    try:
+        with storage_errors(folder):
+            try:
+                lock.acquire()
+            except OSError as error:
+                if not (only_reading and error.errno in _NOT_WRITABLE):
+                    raise
+    except Timeout as error:
+        raise InputError(f"another process is writing in {folder}", hint=hint, path=str(folder)) from error
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def being_written(folder: Path) -> bool:
+    """Whether a process is writing in a run folder at this moment, as far as this process may ask."""
+    if not (folder / _LOCK_FILE).exists():
+        return False
+    try:
+        with FileLock(folder / _LOCK_FILE, timeout=0):
+            return False
+    except Timeout:
+        return True
+    except OSError:
+        return False
+
+
+class RunFolder:
+    """``run.json`` (``header``) and the paths of a run. Use ``RunFolder.locked``."""
 
     def __init__(self, path: Path, header: dict[str, Any]) -> None:
         self.path = path
@@ -72,10 +109,9 @@ class RunFolder:
     @staticmethod
     @contextmanager
     def locked(path: Path, identity: Mapping[str, Any], episodes: int) -> Iterator[RunFolder]:
-        """Open the folder of a run for this process alone, creating it where it is missing.
+        """Open the folder of a run for this process alone; create it where it is missing.
 
-        A folder without records and results is taken over. What a killed process left
-        half-written is swept away.
+        A folder without records and results is taken over. What a killed process left half-written is deleted.
 
         Parameters
         ----------
@@ -128,7 +164,7 @@ class RunFolder:
                 recorded=self.header["episodes"],
                 wanted=episodes,
             )
-        self._episodes = episodes  # in the header once more are played: until then its seal holds
+        self._episodes = episodes  # written to the header when more are played: until then its seal holds
 
     def begin_segment(self, **facts: Any) -> None:
         """Note in ``run.json`` that this process is about to write; once. An earlier summary is removed."""

@@ -125,12 +125,7 @@ def encode_header(header: dict[str, Any]) -> str:
 def read_header(folder: Path) -> tuple[dict[str, Any], bytes]:
     """Content of a run's ``run.json``, and its bytes.
 
-    Raises
-    ------
-    MissingFileError
-        There is none.
-    IntegrityError
-        It is not a run header, or one of a newer format.
+    A MissingFileError if there is no such file, an IntegrityError if it is not a run header, or one of a newer format.
     """
     path = folder / RUN_FILE
     if not path.is_file():
@@ -151,20 +146,9 @@ def read_header(folder: Path) -> tuple[dict[str, Any], bytes]:
 
 
 def check_format(content: Any, newest: int, path: Path) -> None:
-    """Refuse a run header or an entry that a later version of rema wrote.
+    """Raise an IntegrityError, which names the version of rema that is needed, where a file has a newer format.
 
-    Parameters
-    ----------
-    content : object
-        Of the JSON file, which names its ``format``.
-    newest : int
-        The newest format that this version reads; it reads every earlier one.
-    path : Path
-
-    Raises
-    ------
-    IntegrityError
-        The message names the version that reads it.
+    ``newest`` is the newest format that this version reads; it reads every earlier one.
     """
     number = content.get("format") if isinstance(content, dict) else None
     if type(number) is int and number > newest:
@@ -214,7 +198,7 @@ def resume_command(header: dict[str, Any], folder: Path) -> str:
         words += ["--device", devices[-1]]
     for option in ("shard", "batch_size"):
         noted = {str(segment[option]) for segment in header["segments"] if segment.get(option) is not None}
-        if len(noted) == 1:  # a merged run has several shards, and goes on as a whole
+        if len(noted) == 1:  # a merged run has several shards, and continues as a whole
             words += [f"--{option.replace('_', '-')}", *noted]
     words += ["--episodes", str(header["episodes"]), "--output", str(folder)]
     return shlex.join(words)

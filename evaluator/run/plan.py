@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
-from typing import TypeVar
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
 
 from evaluator.engines import Job, JobBatch
 from evaluator.protocol import acting_steps
 from evaluator.run.records import Records
-from evaluator.scenarios import reference_pinch, reference_tools
+from evaluator.scenarios import ScenarioList, load_list, reference_pinch, reference_tools
+from rema_data.errors import RunMismatchError
 from rema_data.schema import Scenario, Situation, StepOutcome
 
-__all__ = ["Plan", "arrange", "job_batches"]
+__all__ = ["Plan", "arrange", "job_batches", "scenario_list"]
 
 BATCH_JOBS = 25
 _ORDER_KEY = b"rema simulation order v1"
@@ -20,19 +22,7 @@ _T = TypeVar("_T")
 
 
 class Plan:
-    """The episodes of a run and the steps in which its policy acts.
-
-    Parameters
-    ----------
-    scenarios : sequence of Scenario
-    task : str
-    protocol : {"conditional", "end-to-end"}
-
-    Attributes
-    ----------
-    steps : tuple of int
-        The last step (conditional), or all.
-    """
+    """The episodes of a run and ``steps``, those in which its policy acts: the last one (conditional), or all."""
 
     def __init__(self, scenarios: Sequence[Scenario], task: str, protocol: str) -> None:
         self.scenarios = scenarios
@@ -63,6 +53,21 @@ class Plan:
             if situation is not None:
                 situations[scenario.index] = situation
         return situations
+
+
+def scenario_list(header: Mapping[str, Any], source: Path) -> ScenarioList:
+    """The list on which the run in the folder ``source`` was played; a RunMismatchError if it is not the one here."""
+    identity = header["identity"]
+    scenarios, recorded = load_list(identity["task"], identity["split"]), identity["scenarios_hash"]
+    if scenarios.sha256 != recorded or header["episodes"] > len(scenarios.scenarios):
+        raise RunMismatchError(
+            f"{source} was played on another scenario list than the one here: {recorded}, here {scenarios.sha256}",
+            hint="use the version of rema that made it (`versions` in run.json)",
+            field="scenarios_hash",
+            recorded=recorded,
+            here=scenarios.sha256,
+        )
+    return scenarios
 
 
 def arrange(items: Sequence[_T], order: str, keys: Sequence[int]) -> list[_T]:

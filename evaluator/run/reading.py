@@ -1,4 +1,4 @@
-"""From a path to a ``Run``: the one place that decides what a run folder or an entry must be to be believed."""
+"""From a path to a ``Run``: checks what a run folder or a submission file must be."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any, NoReturn
 
 from evaluator.run.check import RunFiles, read_files
 from evaluator.run.entry import read_entry
+from evaluator.run.folder import being_written
 from evaluator.run.header import RUN_FILE, environment_of, isolation_level, read_header, resume_command
-from evaluator.run.lock import being_written
 from evaluator.run.run import AGAIN, Provenance, Run
 from evaluator.run.seal import SUMMARY_FILE, results_name, sealed_files
 from evaluator.run.summary import Audit
@@ -19,25 +19,11 @@ __all__ = ["read_run"]
 
 
 def read_run(path: Path, *, with_findings: bool = False) -> Run:
-    """A run, from its folder or from its entry file.
+    """A run, from its folder or from its submission file; see ``evaluator.read_run``.
 
-    Parameters
-    ----------
-    path : Path
-        Run folder of ``rema evaluate``, or entry of ``rema submit``.
-    with_findings : bool
-        For replays and submissions, which report everything: the folder must be sealed, every row is compared with its
-        seal, and a run that changed is returned with its ``findings``.
-
-    Raises
-    ------
-    MissingFileError
-        There is no run, or it is not finished.
-    InputError
-        ``summary.json`` is not the summary of a run.
-    IntegrityError
-        A file is not as it was sealed, contradicts another one, or has a newer format: the message names files, fields
-        and rows.
+    ``with_findings`` is for replays and submissions, which report everything: the folder must be sealed, every row is
+    compared with its seal, and a run that changed is returned with its ``findings``. Without it, such a run is an
+    IntegrityError that names files, fields and rows.
     """
     if path.is_file():
         entry = read_entry(path)
@@ -69,7 +55,7 @@ def _refuse_unsealed(folder: Path, header: dict[str, Any]) -> NoReturn:
         raise MissingFileError(message, hint="wait for its end", path=str(folder))
     raise MissingFileError(
         f"{folder} is not sealed: the run was interrupted, or made by a version of rema without seals",
-        hint="run the command that made it again (with its --checkpoint, if it had one): it goes on where it "
+        hint="run the command that made it again (with its --checkpoint, if it had one): it continues where it "
         f"stopped and writes what is missing\n{resume_command(header, folder)}",
         path=str(folder),
     )

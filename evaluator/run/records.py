@@ -1,4 +1,4 @@
-"""What a run has on disk while it goes on: append-only JSON lines, one segment file a process that wrote.
+"""The records of a run on disk while it runs: append-only JSON lines, one segment file for each writing process.
 
 ``answers-0001.jsonl`` holds what the policy answered, ``outcomes-0001.jsonl`` which action the simulator carried out
 and what came of it: an outcome counts only beside the answer that it belongs to. A process
@@ -56,16 +56,9 @@ class Simulated:
 
 
 class Journal:
-    """An append-only file of JSON lines, created at the first line.
+    """An append-only file of JSON lines, created at the first line, for the process number ``segment``.
 
-    Parameters
-    ----------
-    folder : Path
-    name : str
-    segment : int
-        Number of the writing process.
-    sync_s : float
-        Lines reach the operating system at once and the disk at most this much later (and on ``close``).
+    Lines reach the operating system at once, and the disk at most ``sync_s`` seconds later (and on ``close``).
     """
 
     def __init__(self, folder: Path, name: str, segment: int, sync_s: float = 1.0) -> None:
@@ -75,13 +68,7 @@ class Journal:
         self._synced = time.monotonic()
 
     def append(self, rows: Iterable[dict[str, Any]]) -> None:
-        """Write rows.
-
-        Raises
-        ------
-        StorageError
-            The disk is full; rows written before stay readable.
-        """
+        """Write rows. Where the disk is full (StorageError), rows written before stay readable."""
         payload = b"".join(map(_line, rows))
         if not payload:
             return
@@ -135,10 +122,7 @@ def _row(line: bytes) -> dict[str, Any]:
 def read_journal(folder: Path, name: str) -> Iterator[tuple[int, dict[str, Any]]]:
     """Segment number and content of every whole line, in the order of writing.
 
-    Raises
-    ------
-    IntegrityError
-        A line other than a torn last one is damaged.
+    A damaged line, other than a torn last one, is an IntegrityError.
     """
     for path in sorted(folder.glob(f"{name}-*.jsonl")):
         digits = path.stem.removeprefix(f"{name}-")
@@ -212,15 +196,7 @@ class Records:
 
 
 class Ledger(Records):
-    """Everything recorded in a run, in memory, with the journals that extend it.
-
-    Parameters
-    ----------
-    folder : Path
-        ``RUN/records``.
-    segment : int
-        Number under which this process writes.
-    """
+    """Everything recorded in ``RUN/records``, in memory, with the journals that this process, ``segment``, writes."""
 
     def __init__(self, folder: Path, segment: int) -> None:
         super().__init__()

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +32,7 @@ AGAIN = "run the same `rema evaluate` again: it writes the tables from its recor
 _FINDINGS_NAMED = 3
 
 Row = Mapping[str, Any]
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +42,11 @@ class Provenance:
     Attributes
     ----------
     policy_digest, protocol_hash, scenarios_hash : str
+        Two runs compare where the two hashes agree.
     fingerprint : dict of str -> str
-        Of the simulator. Two runs compare where these two hashes agree; where the fingerprint differs, they may differ
-        by the simulator.
+        Of the simulator. Where it differs, two runs may differ because of the simulator.
     environment : dict
-        Versions, commit, machine and engine, as strings, whole numbers, booleans or null: for people.
+        Versions, commit, machine and engine, as plain values, for people.
     merkle_root, seal : str
         Of the run folder; empty where it has no seal.
     """
@@ -77,12 +78,12 @@ class Outcomes:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Run:
-    """One policy on one scenario list. ``evaluator.run.read_run`` makes it.
+    """One policy on one scenario list. ``evaluator.read_run`` makes it.
 
     Attributes
     ----------
     source : Path
-        Run folder or entry file.
+        Run folder or submission file.
     policy : str
     privileged : bool
         The policy saw the ground truth.
@@ -91,9 +92,9 @@ class Run:
     audit : Audit or None
         None where nothing was repeated.
     stopped_early : bool
-        A quick look, not a full run.
+        A quick run, not a full one.
     unfinished : int
-        Episodes that could have been played and have no result: 0 unless the run was cut short.
+        Episodes without a result though they could be played: 0 unless the run was interrupted.
     nondeterministic : int
         Steps that had two different outcomes.
     isolation : str
@@ -101,11 +102,11 @@ class Run:
     link : str
         Where to read about the policy; empty for run folders.
     findings : tuple of Finding
-        What is not as it was sealed, or contradicts another file. Always empty, but for a reader that asked for them.
+        What changed since the run was sealed, or contradicts another file. Empty unless the reader asked for findings.
     files : RunFiles or None
-        Content of the run folder; None for an entry.
+        Content of the run folder; None for a submission.
     packed : (Counts, Outcomes) or None
-        What an entry holds in place of a table; None for a folder.
+        What a submission holds in place of a table; None for a folder.
     """
 
     source: Path
@@ -127,12 +128,12 @@ class Run:
 
     @property
     def kind(self) -> Literal["run", "entry"]:
-        """What it was read from: a run folder, or an entry file."""
+        """What it was read from: a run folder, or a submission file."""
         return "entry" if self.files is None else "run"
 
     @property
     def seal_state(self) -> Literal["whole", "changed", "unsealed"]:
-        """Whether everything is as it was sealed; ``findings`` name what changed."""
+        """Whether something changed since the run was sealed; ``findings`` name it."""
         if self.findings:
             return "changed"
         return "whole" if self.files is None or self.files.sealed else "unsealed"
@@ -145,6 +146,13 @@ class Run:
         """
         kind = kind_of(self.policy)
         return "privileged" if self.privileged or kind in PRIVILEGED_KINDS else kind or "submitted"
+
+    @property
+    def comparable(self) -> dict[str, str]:
+        """What two runs must share to be compared scenario by scenario."""
+        return {name: getattr(self, name) for name in ("task", "split", "protocol")} | {
+            name: getattr(self.provenance, name) for name in ("protocol_hash", "scenarios_hash")
+        }
 
     @property
     def steps(self) -> tuple[int, ...]:
@@ -160,16 +168,10 @@ class Run:
     def counts(self) -> Counts:
         """Counts, rate and interval, from the rows.
 
-        Raises
-        ------
-        IntegrityError
-            The table cannot be read (only where the reader asked for ``findings``); so do the properties below.
+        An IntegrityError where the table cannot be read (only if the reader asked for findings); so with the properties
+        below.
         """
-        if self.packed is not None:
-            return self.packed[0]
-        if self.folder.counts is None:
-            raise self.refusal()
-        return self.folder.counts
+        return self._read(self.folder.counts) if self.packed is None else self.packed[0]
 
     @cached_property
     def outcomes(self) -> Outcomes:
@@ -177,21 +179,19 @@ class Run:
         if self.packed is not None:
             return self.packed[1]
         success = self.table["success"].to_pylist()
-        eligible, solved = ([value is not None for value in success], [value is True for value in success])
-        return Outcomes(np.array(eligible), np.array(solved))
+        return Outcomes(np.array([one is not None for one in success]), np.array([one is True for one in success]))
 
     @property
     def folder(self) -> RunFiles:
-        """The files of the run folder.
-
-        Raises
-        ------
-        InputError
-            This is an entry; so do the properties below.
-        """
+        """The files of the run folder; an InputError for a submission, so with the properties below."""
         if self.files is None:
             raise self.no_folder()
         return self.files
+
+    def _read(self, content: _T | None) -> _T:
+        if content is None:
+            raise self.refusal()
+        return content
 
     @property
     def header(self) -> Mapping[str, Any]:
@@ -201,29 +201,22 @@ class Run:
     @property
     def summary(self) -> Mapping[str, Any]:
         """Content of ``summary.json``."""
-        if self.folder.summary is None:
-            raise self.refusal()
-        return self.folder.summary
+        return self._read(self.folder.summary)
 
     @property
     def table(self) -> pa.Table:
         """The results table: a row for each scenario, in their order."""
-        if self.folder.table is None:
-            raise self.refusal()
-        return self.folder.table
+        return self._read(self.folder.table)
 
     @property
     def stored(self) -> pa.Table:
         """The same without the columns that are newer than the run."""
-        if self.folder.stored is None:
-            raise self.refusal()
-        return self.folder.stored
+        return self._read(self.folder.stored)
 
     @cached_property
     def rows(self) -> Sequence[Row]:
         """Rows of the results table; a null is None."""
-        rows: list[Row] = self.table.to_pylist()
-        return rows
+        return self.table.to_pylist()  # type: ignore[no-any-return]
 
     @property
     def measured(self) -> list[Row]:
@@ -238,13 +231,7 @@ class Run:
 
     @cached_property
     def timings(self) -> Sequence[Row]:
-        """Rows of ``timings.parquet``, which no seal is over.
-
-        Raises
-        ------
-        MissingFileError, IntegrityError
-            It is not there, or cannot be read.
-        """
+        """Rows of ``timings.parquet``, which no seal covers; MissingFileError or IntegrityError if unreadable."""
         path = self.source / TIMINGS_FILE
         if not path.is_file():
             raise MissingFileError(f"{path} does not exist", hint=AGAIN, path=str(path))
@@ -264,13 +251,7 @@ class Run:
         return self.source / results_name(self.header)
 
     def faults(self) -> list[Row]:
-        """What the policy said where it gave no action: ``index``, ``step``, ``reason`` and ``detail``.
-
-        Raises
-        ------
-        IntegrityError
-            A line of the records is damaged.
-        """
+        """Answers that are not an action: ``index``, ``step``, ``reason``, ``detail``; an IntegrityError if damaged."""
         if not self.counts.policy_errors:
             return []
         answers = (row for _, row in read_journal(self.source / "records", ANSWERS))
@@ -288,6 +269,6 @@ class Run:
         )
 
     def no_folder(self) -> InputError:
-        """The error of an entry where a run folder is needed."""
+        """The error of a submission file where a run folder is needed."""
         hint = "give the folder of the run that it was made from"
-        return InputError(f"{self.source} is an entry of the leaderboard", hint=hint, path=str(self.source))
+        return InputError(f"{self.source} is a submission file", hint=hint, path=str(self.source))

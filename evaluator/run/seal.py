@@ -1,7 +1,7 @@
 """The seal of a run: digests in ``run.json`` of everything that a finished run says, ``run.json`` itself included.
 
-A seal alone tells that nothing changed since it was made, not who made it: who can write in the folder can seal it
-again. A signature over ``run.json`` tells who vouches for it, and a replay whether it is true.
+A seal shows that nothing changed since it was made, not who made it: who can write in the folder can seal it again. A
+signature over ``run.json`` shows who signed it, and a replay whether it is true.
 """
 
 from __future__ import annotations
@@ -51,20 +51,10 @@ def sealed_files(header: Mapping[str, Any]) -> set[str]:
 def make_seal(
     header: dict[str, Any], files: Mapping[str, bytes], *, root: bytes, steps: Sequence[int], unfinished: int
 ) -> dict[str, Any]:
-    """The seal of a run, ready for JSON.
+    """The seal of a run, ready for JSON; a seal that ``header`` has already is left out.
 
-    Parameters
-    ----------
-    header : dict
-        Content of ``run.json``; a seal that it has already is left out.
-    files : mapping of str to bytes
-        Content of the four sealed files, by name.
-    root : bytes
-        Of the tree over the rows of the results table.
-    steps : sequence of int
-        Steps in which the policy acts: the columns of ``actions.bin``.
-    unfinished : int
-        Episodes without a result: 0 unless the run is partial.
+    ``files`` is the content of the four sealed files by name, ``root`` that of the tree over the rows, and ``steps``
+    are the columns of ``actions.bin``.
     """
     seal = {
         "version": _VERSION,

@@ -74,29 +74,11 @@ def summarise(
     root: bytes,
     audit: dict[str, Any] | None,
 ) -> dict[str, Any]:
-    """The content of ``summary.json``.
+    """The content of ``summary.json``: ``summary_numbers`` of the table, and what the rows do not tell.
 
-    Parameters
-    ----------
-    plan : Plan
-    ledger : Ledger
-    counts : Counts
-        Of ``table``.
-    table : pyarrow.Table
-        The results table.
-    header : dict
-        Content of ``run.json``.
-    root : bytes
-        Of the hash tree over the rows.
-    audit : dict or None
-        From ``evaluator.runner.audit``; None where nothing was repeated.
-
-    Returns
-    -------
-    dict
-        What ``summary_numbers`` gives, and what the rows do not tell. ``unfinished`` episodes have no result: the run
-        is partial. ``seconds`` and ``episodes_per_second`` are sums over the segments that ended in an orderly way;
-        ``engine`` and ``workers`` are those of the last segment, null where nothing was recorded.
+    ``unfinished`` episodes have no result: the run is partial. ``seconds`` and ``episodes_per_second`` are sums over
+    the segments that ended in an orderly way; ``engine`` and ``workers`` are those of the last segment, or null.
+    ``root`` is that of the hash tree over the rows.
     """
     seconds, rate = _time(header["segments"])
     faults = Counter(str(answer.reason) for answer in ledger.answers.values() if answer.action is None)
@@ -136,13 +118,7 @@ def _time(segments: list[dict[str, Any]]) -> tuple[dict[str, float], float | Non
 
 
 def read_summary(payload: bytes, path: Path) -> dict[str, Any]:
-    """The content of a ``summary.json``, checked for its shape; not whether it is true.
-
-    Raises
-    ------
-    InputError
-        It is not the summary of a run: the message names the fields.
-    """
+    """The content of a ``summary.json``; an InputError names the fields where it is not the summary of a run."""
     hint = "evaluate the policy again: the same command writes it from the records"
     try:
         content: dict[str, Any] = json.loads(payload.decode("utf-8"))

@@ -59,7 +59,7 @@ _NAMED = 5
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """How an episode ended.
+    """The result of an episode.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Verdict:
     failure : Failure or None
     failed_step : int or None
     infra_error : str or None
-        Reason for which there is no measurement.
+        Why there is no measurement.
     """
 
     success: bool | None
@@ -157,20 +157,9 @@ def _episode_row(scenario: Scenario, version: str, steps: Sequence[int], records
 def results_table(scenarios: ScenarioList, episodes: int, steps: Sequence[int], records: Records) -> pa.Table:
     """One row for each of the first ``episodes`` scenarios, in their order.
 
-    Parameters
-    ----------
-    scenarios : ScenarioList
-    episodes : int
-    steps : sequence of int
-        Steps in which the policy acts: the last one (conditional) or all (end-to-end).
-    records : Records
-
-    Returns
-    -------
-    pyarrow.Table
-        Columns: the scenario and its objects; ``step{n}_*`` with action (grid index, null where there was none), pose
-        (metres and radians in the world frame), outcome and evidence; ``success`` (null where not measured),
-        ``failure``, ``failed_step``, ``sim_steps`` (sum over steps) and ``infra_error``.
+    Columns: the scenario and its objects; ``step{n}_*`` with action (grid index, null where there was none), pose
+    (metres and radians in the world frame), outcome and evidence; ``success`` (null where not measured), ``failure``,
+    ``failed_step``, ``sim_steps`` (sum over steps) and ``infra_error``.
     """
     schema = results_schema(scenarios.task)
     chosen = scenarios.scenarios[:episodes]
@@ -179,22 +168,10 @@ def results_table(scenarios: ScenarioList, episodes: int, steps: Sequence[int], 
 
 
 def read_results(payload: bytes, task: str) -> tuple[pa.Table | None, pa.Table | None, list[tuple[str, str]]]:
-    """A results table from the bytes of its file.
+    """A results table from the bytes of its file: the table, the same as stored, and what is wrong with it.
 
-    Parameters
-    ----------
-    payload : bytes
-    task : str
-
-    Returns
-    -------
-    table : pyarrow.Table or None
-        With the columns of ``results_schema``; those that the file is too old for are null. None where it cannot be
-        read.
-    stored : pyarrow.Table or None
-        Its columns as they are in the file.
-    problems : list of (str, str)
-        Column, empty for all, and what is wrong with it; empty where the table is good.
+    Columns of ``results_schema`` that are newer than the file are null in the first table and missing in the second.
+    Both are None where the file cannot be read. A problem is a column (empty for all) and a description.
     """
     schema = results_schema(task)
     broken = (pa.ArrowException, OSError, ValueError)

@@ -1,6 +1,6 @@
 """One evaluation: ``run_evaluation`` takes a policy through observe, infer and simulate.
 
-Read in this order: ``config`` (what is asked), ``run`` (the loop), ``observe`` and ``observation_cache``, ``infer``,
+Read in this order: ``config`` (what is asked), ``run`` (the loop), ``questions`` and ``observation_cache``,
 ``audit`` (1 % again), ``finalize`` (tables, summary, seal), ``shards`` and ``merge``, ``quick``.
 """
 

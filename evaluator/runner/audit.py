@@ -1,10 +1,10 @@
-"""The determinism audit: 1 % of a run again, with nothing equal but the observations and the actions.
+"""The determinism audit: 1 % of a run is repeated in other conditions.
 
 The policy is asked again in a new process, in batches of other sizes and companions; the recorded actions are simulated
 again in a new process, in another order. A policy that remembers earlier questions or answers by position shows as
 action flips, a world that is not a pure function as outcome flips.
 
-The repeats are journals of their own, in ``records/audit``, so that an interrupted audit goes on where it stopped.
+The repeats are journals of their own, in ``records/audit``, so that an interrupted audit continues where it stopped.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from evaluator.engines import Job
+from evaluator.protocol import AUDIT_LEAST
 from evaluator.rollout.ask import record_answers
 from evaluator.rollout.backend import Backend, PolicyProcess
 from evaluator.run.plan import Plan
@@ -26,8 +27,6 @@ from rema_data.schema import Situation, StepOutcome
 
 __all__ = ["Repeat", "ask_again", "audit_summary", "jobs_again", "repeats"]
 
-LEAST_EPISODES = 30
-"""Repeated even where the share gives fewer."""
 _BATCHES = (24, 40)
 """Observations in one question: the first of these that is not the run's own batch size."""
 _KEY = b"rema audit v1"
@@ -47,7 +46,7 @@ def repeats(plan: Plan, ledger: Records, share: float) -> list[Repeat]:
     """Every step of a share of the measured episodes, drawn by a fixed hash, in the order of that hash."""
     measured = [s.index for s in plan.scenarios if verdict(s.index, plan.steps, ledger).success is not None]
     ranked = sorted(measured, key=_rank)
-    chosen = set(ranked[: max(LEAST_EPISODES, math.ceil(share * len(measured)))] if share else ())
+    chosen = set(ranked[: max(AUDIT_LEAST, math.ceil(share * len(measured)))] if share else ())
     found = []
     for step in plan.steps:
         alive = plan.alive(step, ledger)
@@ -62,23 +61,9 @@ def _rank(index: int) -> bytes:
 def ask_again(
     policy: PolicyProcess, backend: Backend, wanted: Iterable[Repeat], batch_size: int, again: Ledger
 ) -> Iterator[int]:
-    """Ask the policy about ``wanted`` and record the answers in ``again``.
+    """Ask a fresh policy about ``wanted``, in batches of another size than ``batch_size``; record in ``again``.
 
-    Parameters
-    ----------
-    policy : PolicyProcess
-        A fresh one.
-    backend : Backend
-    wanted : iterable of Repeat
-    batch_size : int
-        Of the run; the questions here have another size.
-    again : Ledger
-        Of the audit.
-
-    Yields
-    ------
-    int
-        Number of observations answered just now.
+    Yields the number of observations answered just now.
     """
     size = next(size for size in _BATCHES if size != batch_size)
     by_step: dict[int, list[Repeat]] = {}
@@ -107,20 +92,9 @@ def jobs_again(wanted: Sequence[Repeat], ledger: Records, again: Records) -> lis
 def audit_summary(wanted: Sequence[Repeat], ledger: Records, again: Records) -> dict[str, Any]:
     """How often the repeats differed, ready for JSON.
 
-    Parameters
-    ----------
-    wanted : sequence of Repeat
-    ledger : Records
-        Of the run.
-    again : Records
-        Of the audit.
-
-    Returns
-    -------
-    dict
-        ``actions`` asked again and ``action_flips`` among them, ``outcomes`` simulated again and ``outcome_flips`` (any
-        bit of an outcome), each with its Clopper-Pearson interval; ``lost``, repeats without an outcome; ``flipped``,
-        the first flips.
+    ``actions`` asked again and ``action_flips`` among them, ``outcomes`` simulated again and ``outcome_flips`` (any bit
+    of an outcome), each with its Clopper-Pearson interval; ``lost``, repeats without an outcome; ``flipped``, the first
+    flips.
     """
     actions = outcomes = lost = action_flips = outcome_flips = 0
     flipped: list[dict[str, Any]] = []

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from evaluator.engines import check_engine
-from evaluator.protocol import PROTOCOLS
+from evaluator.protocol import AUDIT_SHARE, MAX_BATCH, PROTOCOLS
 from rema_data.errors import InputError
 from rema_data.schema import check_task
 
@@ -17,16 +17,12 @@ if TYPE_CHECKING:
 
 __all__ = ["ORDERS", "EvaluationConfig", "EvaluationResult"]
 
-MAX_BATCH = 4096
-"""Observations in one question: about a gigabyte on either side."""
 ORDERS = ("shuffled", "forward", "reverse")
-AUDIT_SHARE = 0.01
-"""Share of every run that is repeated."""
 
 
 @dataclass(frozen=True, slots=True)
 class EvaluationConfig:
-    """One evaluation.
+    """One evaluation: the arguments of ``evaluator.evaluate``, resolved; an InputError where a value is not allowed.
 
     Attributes
     ----------
@@ -34,35 +30,12 @@ class EvaluationConfig:
     task : str
     output : Path
         Run folder; an existing one is resumed.
-    checkpoint : Path or None
-    device : str
-        Handed to the policy.
-    protocol : {"conditional", "end-to-end"}
-    split : {"test", "val"}
-    episodes : int
-        The first so many scenarios of the list.
-    engine : str
-        Name of an installed engine: ``process``, ``inline``, ``ray``, ...
-    workers : int or None
-        Every core by default; with Ray, of the whole cluster.
-    address : str or None
-        Of the cluster.
-    shard : RunShard or None
-        Play these of the scenarios only; ``evaluator.runner.merge`` merges the shards.
-    batch_size : int
-        Observations in one question to the policy. Batches are fixed by scenario order, also after a resume.
+    checkpoint, device, protocol, split, episodes, engine, workers, address, shard, batch_size, sandbox
+        As for ``evaluator.evaluate``. Batches are fixed by scenario order, also after a resume.
     order : {"shuffled", "forward", "reverse"}
         In which order scenarios are simulated. No result depends on it; an interrupted shuffled run is unbiased.
     audit_share : float
-        Share of the episodes that are repeated at the end to see whether they come out the same (some tens at least);
-        0 repeats none, and the summary's ``audit`` is then null.
-    sandbox : str or None
-        Wrapper of the policy's process, such as bwrap: see ``evaluator.policy.sandbox.wrapper``.
-
-    Raises
-    ------
-    InputError
-        A value is not allowed.
+        Share of the episodes that is repeated at the end (``AUDIT_LEAST`` at least); 0 repeats none.
     """
 
     policy: PolicySpec
@@ -105,16 +78,7 @@ class EvaluationConfig:
 
 @dataclass(frozen=True, slots=True)
 class EvaluationResult:
-    """A finished run.
-
-    Attributes
-    ----------
-    folder : Path
-        With ``run.json``, ``episodes.parquet``, ``actions.bin``, ``leaves.bin``, ``timings.parquet``, ``summary.json``
-        and ``records/``.
-    summary : dict
-        Content of ``summary.json``.
-    """
+    """A finished run: its ``folder``, and the content of its ``summary.json``."""
 
     folder: Path
     summary: dict[str, Any]

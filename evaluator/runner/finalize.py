@@ -25,16 +25,7 @@ __all__ = ["RunTables", "seal_run", "write_tables"]
 
 @dataclass(frozen=True, slots=True)
 class RunTables:
-    """The tables of a run, which are in its folder.
-
-    Attributes
-    ----------
-    results : pyarrow.Table
-    root : bytes
-        Of the hash tree over the rows.
-    files : dict
-        Content by name of those that the seal is over.
-    """
+    """What was written: results, root of the hash tree over their rows, and sealed files by name."""
 
     results: pa.Table
     root: bytes
@@ -66,17 +57,7 @@ def seal_run(
 ) -> dict[str, Any]:
     """Write the summary, which is returned, and put the seal over it and the tables.
 
-    Parameters
-    ----------
-    folder : RunFolder
-    plan : Plan
-    ledger : Ledger
-    tables : RunTables
-        From ``write_tables``.
-    audit : dict or None
-        From ``audit_summary``.
-    stopped_early : dict, optional
-        Why a run that has no rank stopped.
+    ``audit`` comes from ``audit_summary``; ``stopped_early`` says why a run without a rank stopped.
     """
     summary = summarise(
         plan, ledger, count_rows(tables.results, plan.steps), tables.results, folder.header, tables.root, audit

@@ -1,7 +1,7 @@
-"""Merge several runs over parts of the scenarios to the one run that they are parts of.
+"""Merge the runs of all shards of one evaluation.
 
-A part is a run folder like any other, whose other episodes have no result. Merging takes its records, not its tables:
-the tables of the whole are made from all records as those of a single run are, and so are the same bytes.
+A shard's run folder is like any other; the episodes of other shards have no result in it. Merging takes its records,
+not its tables: the tables of the whole are made from all records, as those of a single run are, with the same bytes.
 """
 
 from __future__ import annotations
@@ -10,62 +10,34 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from evaluator.rollout.simulate import check_infrastructure
 from evaluator.run.counts import unfinished
-from evaluator.run.folder import RunFolder
+from evaluator.run.folder import RunFolder, locked
 from evaluator.run.header import read_header, resume_command
-from evaluator.run.lock import locked
-from evaluator.run.plan import Plan
+from evaluator.run.plan import Plan, scenario_list
 from evaluator.run.records import ANSWERS, OUTCOMES, Journal, Ledger, Records, read_journal
 from evaluator.runner.audit import audit_summary, repeats
 from evaluator.runner.config import EvaluationResult
 from evaluator.runner.finalize import seal_run, write_tables
-from evaluator.scenarios import ScenarioList, load_list
+from evaluator.scenarios import ScenarioList
 from rema_data.errors import InfrastructureError, InputError, RunMismatchError
 from rema_data.storage import storage_errors
 
 __all__ = ["merge_runs"]
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """A run folder and its header."""
-
-    folder: RunFolder
-
-    @property
-    def path(self) -> Path:
-        return self.folder.path
-
-    @property
-    def header(self) -> dict[str, Any]:
-        return self.folder.header
-
-    @property
-    def shards(self) -> list[str]:
-        """Which parts its segments say that they played, such as ``2/8``."""
-        found = [str(segment["shard"]) for segment in self.header["segments"] if segment.get("shard") is not None]
-        return sorted(set(found))
-
-
-def merge_runs(parts: Sequence[Path], output: Path) -> EvaluationResult:
-    """Merge runs over parts of one scenario list.
+def merge_runs(shards: Sequence[Path], output: Path) -> EvaluationResult:
+    """Merge the shards of one run.
 
     Parameters
     ----------
-    parts : sequence of Path
-        Run folders of the same policy, task, protocol, scenario list and simulator, in any order. They are left as
-        they are.
+    shards : sequence of Path
+        Run folders of the same policy, task, protocol, scenario list and simulator, in any order. They are not changed.
     output : Path
-        Folder of the whole run, which must not be there. It can be resumed, replayed and reported like any other.
-
-    Returns
-    -------
-    EvaluationResult
+        Folder of the whole run, which must not exist. It can be resumed, replayed and reported like any other.
 
     Raises
     ------
@@ -74,26 +46,33 @@ def merge_runs(parts: Sequence[Path], output: Path) -> EvaluationResult:
     RunMismatchError
         The runs do not belong together: the message names two folders and the field that differs.
     InputError
-        The output is there already; another process is writing in a part; two parts hold the same scenario, or some
-        scenarios are in none.
+        The output exists; another process is writing in a shard; two shards hold the same scenario, or some scenarios
+        are in none.
     InfrastructureError
         More than 0.1 % of the episodes were lost, after everything is written.
-    StorageError
-        The disk is full or may not be written.
     """
     if output.exists() and not (output.is_dir() and not any(output.iterdir())):
-        raise InputError(f"{output} is there already", hint="choose another folder with --output", path=str(output))
+        raise InputError(f"{output} exists already", hint="choose another folder with --output", path=str(output))
+    if not shards:
+        raise InputError("there is nothing to merge", hint="give the run folders of all shards")
     with ExitStack() as stack:
-        found = [stack.enter_context(_opened(path)) for path in _distinct(parts)]
-        _check_identity(found)
-        first = found[0].header
+        found: dict[Path, RunFolder] = {}
+        for path in shards:
+            if path.resolve() in found:
+                raise InputError(f"{path} is given twice", hint="give every shard once", path=str(path))
+            header, _ = read_header(path)
+            stack.enter_context(locked(path, "wait for it", only_reading=True))
+            found[path.resolve()] = RunFolder(path, header)
+        folders = list(found.values())
+        _check_identity(folders)
+        first = folders[0].header
         identity, episodes = first["identity"], first["episodes"]
-        scenarios = _scenarios(identity)
+        scenarios = scenario_list(first, folders[0].path)
         plan = Plan(scenarios.scenarios[:episodes], identity["task"], identity["protocol"])
-        _check_disjoint(found)
-        with _staged(output) as staging, RunFolder.locked(staging, identity, episodes) as folder:
-            _copy_records(found, folder)
-            summary, records = _finish(folder, plan, scenarios, found)
+        _check_disjoint(folders)
+        with _staged(output) as staging, RunFolder.locked(staging, identity, episodes) as whole:
+            _copy_records(folders, whole)
+            summary, records = _finish(whole, plan, scenarios, folders)
         try:
             check_infrastructure(records, summary, output)
         except InfrastructureError as error:
@@ -104,34 +83,15 @@ def merge_runs(parts: Sequence[Path], output: Path) -> EvaluationResult:
         return EvaluationResult(output, summary)
 
 
-def _distinct(parts: Sequence[Path]) -> list[Path]:
-    if not parts:
-        raise InputError("there is nothing to merge", hint="give the run folders of all shards")
-    seen: dict[Path, Path] = {}
-    for path in parts:
-        if path.resolve() in seen:
-            raise InputError(f"{path} is given twice", hint="give every part once", path=str(path))
-        seen[path.resolve()] = path
-    return list(parts)
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[_Part]:
-    """A part, locked against writers."""
-    header, _ = read_header(path)
-    with locked(path, "wait for it", only_reading=True):
-        yield _Part(RunFolder(path, header))
-
-
-def _check_identity(parts: Sequence[_Part]) -> None:
-    """Raise where two parts are not of the same run."""
-    first = parts[0]
-    for other in parts[1:]:
-        ours, theirs = ({**part.header["identity"], "episodes": part.header["episodes"]} for part in (first, other))
+def _check_identity(shards: Sequence[RunFolder]) -> None:
+    """Raise where two shards are not of the same run."""
+    first = shards[0]
+    for other in shards[1:]:
+        ours, theirs = ({**one.header["identity"], "episodes": one.header["episodes"]} for one in (first, other))
         for field in {**ours, **theirs}:
             if ours.get(field) != theirs.get(field):
                 raise RunMismatchError(
-                    f"{first.path} and {other.path} are not parts of one run: the {field} of the first is "
+                    f"{first.path} and {other.path} are not shards of one run: the {field} of the first is "
                     f"{ours.get(field)}, of the second {theirs.get(field)}",
                     hint="merge runs of the same command with other --shard",
                     field=field,
@@ -139,42 +99,23 @@ def _check_identity(parts: Sequence[_Part]) -> None:
                 )
 
 
-def _scenarios(identity: dict[str, Any]) -> ScenarioList:
-    """The list that the parts were played on.
-
-    Raises
-    ------
-    RunMismatchError
-        The list of this installation is another one.
-    """
-    found = load_list(identity["task"], identity["split"])
-    if found.sha256 != identity["scenarios_hash"]:
-        raise RunMismatchError(
-            f"the parts were played on the scenario list {identity['scenarios_hash']}, the one here is {found.sha256}",
-            hint="merge with the version of rema that evaluated",
-            field="scenarios_hash",
-        )
-    return found
-
-
-def _check_disjoint(parts: Sequence[_Part]) -> None:
-    """Raise where two parts hold the same scenario."""
-    owner: dict[int, _Part] = {}
-    for part in parts:
-        indices = {row["index"] for name in (ANSWERS, OUTCOMES) for _, row in read_journal(part.folder.records, name)}
-        for index in sorted(indices):
-            if index in owner:
-                raise InputError(
-                    f"scenario {index} is both in {owner[index].path} and in {part.path}",
-                    hint="merge parts of one division, all with the same --batch-size, and every part once",
-                    index=index,
-                )
-        owner.update(dict.fromkeys(indices, part))
+def _check_disjoint(shards: Sequence[RunFolder]) -> None:
+    """Raise where two shards hold the same scenario."""
+    owner: dict[int, Path] = {}
+    for shard in shards:
+        indices = {row["index"] for name in (ANSWERS, OUTCOMES) for _, row in read_journal(shard.records, name)}
+        for index in sorted(indices & owner.keys()):
+            raise InputError(
+                f"scenario {index} is both in {owner[index]} and in {shard.path}",
+                hint="merge the shards of one division, all with the same --batch-size, and every shard once",
+                index=index,
+            )
+        owner.update(dict.fromkeys(indices, shard.path))
 
 
 @contextmanager
 def _staged(output: Path) -> Iterator[Path]:
-    """A folder beside ``output`` that becomes it at the end, or goes."""
+    """A folder beside ``output`` that becomes it at the end, or is deleted."""
     with storage_errors(output):
         output.parent.mkdir(parents=True, exist_ok=True)
         staging = Path(tempfile.mkdtemp(prefix=f".{output.name}.merging-", dir=output.parent))
@@ -187,66 +128,62 @@ def _staged(output: Path) -> Iterator[Path]:
             raise
 
 
-def _copy_records(parts: Sequence[_Part], folder: RunFolder) -> None:
-    """The journals of all parts, audits included, with their segments renumbered."""
+def _copy_records(shards: Sequence[RunFolder], whole: RunFolder) -> None:
+    """Copy the journals of all shards, audits included, with their segments renumbered."""
     segments: list[dict[str, Any]] = []
-    for part in parts:
+    for shard in shards:
         numbers = {}
-        for segment in part.header["segments"]:
+        for segment in shard.header["segments"]:
             numbers[segment["number"]] = len(segments) + 1
             segments.append({**segment, "number": len(segments) + 1})
-        for source, target in ((part.folder.records, folder.records), (part.folder.repeats, folder.repeats)):
+        for source, target in ((shard.records, whole.records), (shard.repeats, whole.repeats)):
             for name in (ANSWERS, OUTCOMES):
-                _copy_journal(source, target, name, numbers)
-    folder.header["segments"] = segments
-    folder.set_policy(**parts[0].header["policy"])
-
-
-def _copy_journal(source: Path, target: Path, name: str, numbers: dict[int, int]) -> None:
-    rows: dict[int, list[dict[str, Any]]] = {}
-    for segment, row in read_journal(source, name):
-        rows.setdefault(segment, []).append(row)
-    for segment, some in rows.items():
-        with closing(Journal(target, name, numbers[segment])) as journal:
-            journal.append(some)
+                rows: dict[int, list[dict[str, Any]]] = {}
+                for number, row in read_journal(source, name):
+                    rows.setdefault(number, []).append(row)
+                for number, some in rows.items():
+                    with closing(Journal(target, name, numbers[number])) as journal:
+                        journal.append(some)
+    whole.header["segments"] = segments
+    whole.set_policy(**shards[0].header["policy"])
 
 
 def _finish(
-    folder: RunFolder, plan: Plan, scenarios: ScenarioList, parts: Sequence[_Part]
+    whole: RunFolder, plan: Plan, scenarios: ScenarioList, shards: Sequence[RunFolder]
 ) -> tuple[dict[str, Any], Ledger]:
     """Tables, summary and seal of the whole run; its summary and records."""
-    with closing(Ledger(folder.records, folder.segment)) as ledger:
-        tables = write_tables(folder, plan, scenarios, ledger)
+    with closing(Ledger(whole.records, whole.segment)) as ledger:
+        tables = write_tables(whole, plan, scenarios, ledger)
         if left := unfinished(plan, tables.results):
-            raise _incomplete(left, len(plan.scenarios), parts)
-        for part in parts:
-            if "seal" not in part.header:
+            raise _incomplete(left, len(plan.scenarios), shards)
+        for shard in shards:
+            if "seal" not in shard.header:
                 raise InputError(
-                    f"{part.path} has no seal: it was stopped before its audit and its tables were done",
-                    hint=f"finish it: {resume_command(part.header, part.path)}",
-                    path=str(part.path),
+                    f"{shard.path} has no seal: it was stopped before its audit and its tables were done",
+                    hint=f"finish it: {resume_command(shard.header, shard.path)}",
+                    path=str(shard.path),
                 )
-        summary = seal_run(folder, plan, ledger, tables, _audit(folder, plan, ledger))
+        summary = seal_run(whole, plan, ledger, tables, _audit(whole, plan, ledger))
     return summary, ledger
 
 
-def _incomplete(left: int, episodes: int, parts: Sequence[_Part]) -> InputError:
-    """Which parts are not there, as far as the folders tell."""
-    played = {shard for part in parts for shard in part.shards}
+def _incomplete(left: int, episodes: int, shards: Sequence[RunFolder]) -> InputError:
+    """The error that names the shards that are missing, as far as the folders tell."""
+    played = {str(segment.get("shard")) for shard in shards for segment in shard.header["segments"]} - {"None"}
     count = max((int(shard.partition("/")[2]) for shard in played), default=0)
     missing = [shard for shard in (f"{number}/{count}" for number in range(1, count + 1)) if shard not in played]
     where = f"; no folder is of shard {', '.join(missing)}" if missing else ""
     return InputError(
-        f"{left:,} of {episodes:,} episodes are in no part, or not finished{where}",
-        hint="finish all shards (the same command again goes on where it stopped) and give all their folders",
+        f"{left:,} of {episodes:,} episodes are in no shard, or not finished{where}",
+        hint="finish all shards (the same command again continues where it stopped) and give all their folders",
         unfinished=left,
         missing=missing,
     )
 
 
-def _audit(folder: RunFolder, plan: Plan, ledger: Records) -> dict[str, Any] | None:
-    """What the audits of the parts found together; None where nothing was repeated."""
-    with closing(Ledger(folder.repeats, folder.segment)) as again:
+def _audit(whole: RunFolder, plan: Plan, ledger: Records) -> dict[str, Any] | None:
+    """What the audits of the shards found; None where nothing was repeated."""
+    with closing(Ledger(whole.repeats, whole.segment)) as again:
         done = again.answers.keys() | again.outcomes.keys()
         wanted = [repeat for repeat in repeats(plan, ledger, 1.0) if (repeat.index, repeat.step) in done]
         return audit_summary(wanted, ledger, again) if wanted else None

@@ -36,13 +36,11 @@ class Block:
 
     Attributes
     ----------
-    scenes : uint16 (N, 64, 64)
-        0.1 mm.
-    which : uint32 (N,)
-        End-effector map of every observation.
-    depths : uint16 (U, 2, 112, 112)
+    scenes : uint16 (N, 64, 64), depths : uint16 (U, 2, 112, 112)
         0.1 mm.
     masks : bool (U, 2, 112, 112)
+    which : uint32 (N,)
+        End-effector map of every observation.
     """
 
     scenes: npt.NDArray[np.uint16]
@@ -63,13 +61,7 @@ class Block:
 class ObservationCache:
     """Observations of situations, from disk where they are there already.
 
-    Parameters
-    ----------
-    root : Path
-    observe : callable
-        Situation to Observation.
-    code : str
-        Identity of everything that ``observe`` depends on.
+    ``observe`` makes an Observation of a Situation; ``code`` identifies everything that it depends on.
     """
 
     def __init__(self, root: Path, observe: Callable[[Situation], Observation], code: str) -> None:
@@ -85,13 +77,7 @@ class ObservationCache:
         return self._root / digest[:2] / f"{digest}.obs"
 
     def ensure(self, situations: Sequence[Situation]) -> bool:
-        """Make sure that a block is on disk and whole; whether it had to be made.
-
-        Raises
-        ------
-        StorageError
-            The disk is full or may not be written.
-        """
+        """Make sure that a block is on disk and whole; whether it had to be made."""
         path = self._path(situations)
         if _payload(path) is not None:
             return False

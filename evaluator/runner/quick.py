@@ -1,7 +1,7 @@
-"""A first look at a policy: scenarios in the order of the list, until it is better or worse than a run of another.
+"""A quick look at a policy: scenarios in the order of the list, until it is better or worse than another run.
 
-The run grows in steps, in one folder; at each the pairs so far are tested by a sequence that may be looked at as often
-as one likes (``evaluator.statistics.sequential``). Such a run has no rank: evaluated again without a look, it goes on.
+The run grows in steps, in one folder. After each, the pairs so far are tested by a sequence that allows any number of
+tests (``evaluator.statistics.sequential``). Such a run has no rank; evaluated again without --quick, it continues.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Any
 
 import pyarrow as pa
 
+from evaluator.protocol import FIRST_LOOK
 from evaluator.rollout.backend import Backend, default_backend
 from evaluator.run.header import RUN_FILE, read_header
 from evaluator.run.reading import read_run
@@ -25,10 +26,7 @@ from evaluator.statistics import QuickLook
 from rema_data.errors import InputError
 from rema_data.progress import Progress
 
-__all__ = ["FIRST_LOOK", "quick_evaluation"]
-
-FIRST_LOOK = 100
-"""Episodes before the first look; every later one is after twice as many."""
+__all__ = ["quick_evaluation"]
 
 
 def quick_evaluation(
@@ -40,29 +38,16 @@ def quick_evaluation(
 ) -> EvaluationResult:
     """Evaluate a policy until it is better or worse than a finished run, or ``config.episodes`` are played.
 
-    Parameters
-    ----------
-    config : EvaluationConfig
-    against : Path
-        Folder of a run of the same task, split and protocol.
-    progress : Progress, optional
-    backend : Backend, optional
-
-    Returns
-    -------
-    EvaluationResult
-        ``summary["stopped_early"]`` says what the pairs tell: verdict, counts, and intervals that hold however often
-        one looked. Nothing is repeated (``audit`` is null).
+    ``summary["stopped_early"]`` holds what the pairs tell: verdict, counts, and intervals that hold however often one
+    tests. Nothing is repeated (``audit`` is null).
 
     Raises
     ------
     InputError
-        The other run does not compare: it is of another task, split, protocol, version of the protocol, or scenario
-        list. Or the folder holds a run to the end, which a look would take its rank.
-    MissingFileError
-        The other run is not finished.
+        The run in the folder ``against`` is of another task, split, protocol, protocol version or scenario list. Or the
+        output folder holds a full run, which would lose its rank.
     RemaError
-        As ``run_evaluation``.
+        As ``run_evaluation``, and as ``read_run`` for ``against``.
     """
     backend = backend or default_backend()
     reference = read_run(against)
@@ -96,26 +81,18 @@ def quick_evaluation(
 
 def _check_reference(reference: Run, config: EvaluationConfig, backend: Backend) -> None:
     """Raise before anything is played where the two runs will not compare."""
-    listed = load_list(config.task, config.split)
     mine = {
         "task": config.task,
         "split": config.split,
         "protocol": config.protocol,
         "protocol_hash": backend.protocol_hash(config.task, config.protocol),
-        "scenarios_hash": listed.sha256,
+        "scenarios_hash": load_list(config.task, config.split).sha256,
     }
-    theirs = {
-        "task": reference.task,
-        "split": reference.split,
-        "protocol": reference.protocol,
-        "protocol_hash": reference.provenance.protocol_hash,
-        "scenarios_hash": reference.provenance.scenarios_hash,
-    }
-    for field, value in mine.items():
-        if theirs[field] != value:
+    for field, value in reference.comparable.items():
+        if value != mine[field]:
             raise InputError(
-                f"{reference.source} does not compare: its {field} is {theirs[field] or 'not recorded'}, "
-                f"here it is {value}",
+                f"{reference.source} does not compare: its {field} is {value or 'not recorded'}, "
+                f"here it is {mine[field]}",
                 hint="give a run of the same task, split and protocol, made with this version",
                 field=field,
             )

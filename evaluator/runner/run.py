@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from typing import Any
 
 import pyarrow as pa
@@ -13,7 +13,7 @@ import pyarrow as pa
 from evaluator.engines import worker_count
 from evaluator.engines.child import call_in_child
 from evaluator.rollout.backend import Backend, PolicyProcess, default_backend
-from evaluator.rollout.simulate import INFRA_LIMIT, check_infrastructure, pending_jobs, simulate_jobs
+from evaluator.rollout.simulate import check_infrastructure, pending_jobs, simulate_jobs
 from evaluator.run.folder import RunFolder
 from evaluator.run.plan import Plan
 from evaluator.run.records import Ledger
@@ -22,16 +22,15 @@ from evaluator.run.tables import verdict
 from evaluator.runner.audit import ask_again, audit_summary, jobs_again, repeats
 from evaluator.runner.config import EvaluationConfig, EvaluationResult
 from evaluator.runner.finalize import seal_run, write_tables
-from evaluator.runner.infer import check_faults, infer_batches
 from evaluator.runner.observation_cache import ObservationCache
-from evaluator.runner.observe import batches, observe_batches, shuffled
+from evaluator.runner.questions import batches, check_faults, infer_batches, observe_batches, shuffled
 from evaluator.scenarios import ScenarioList, load_list
 from rema_data.errors import InputError, PolicyFailureError, SubmissionError
 from rema_data.progress import Progress, Silent
 from rema_data.schema import Situation
 from rema_data.storage import rema_home
 
-__all__ = ["INFRA_LIMIT", "Look", "run_evaluation"]
+__all__ = ["Look", "run_evaluation"]
 
 Look = Callable[[pa.Table], dict[str, Any]]
 
@@ -43,7 +42,7 @@ def run_evaluation(
     backend: Backend | None = None,
     look: Look | None = None,
 ) -> EvaluationResult:
-    """Evaluate a policy, or go on with an evaluation that was interrupted.
+    """Evaluate a policy, or continue an evaluation that was interrupted.
 
     Parameters
     ----------
@@ -53,11 +52,7 @@ def run_evaluation(
     backend : Backend, optional
         The real world by default.
     look : callable, optional
-        Makes of the rows what the summary is to say under ``stopped_early``: such a run has no rank.
-
-    Returns
-    -------
-    EvaluationResult
+        Makes of the results table what the summary says under ``stopped_early``: such a run has no rank.
 
     Raises
     ------
@@ -76,7 +71,7 @@ def run_evaluation(
     StorageError
         The disk is full; run again when it is not.
     KeyboardInterrupt
-        Workers are stopped; run again to go on.
+        Workers are stopped; run again to continue.
     """
     start = time.perf_counter()
     progress = progress or Silent()
@@ -215,19 +210,21 @@ class _Run:
         shared = step == 0 or not self.plan.end_to_end
         root = rema_home() / "observations" if shared else self.own_cache
         cache = ObservationCache(root, backend.observe, backend.observation_hash)
-        log = self.folder.policy_log
         # Started before anything is observed: a policy that cannot be loaded is reported at once.
         with ExitStack() as stack:
             with self._timed("infer"):
-                policy = stack.enter_context(
-                    backend.open_policy(config.policy, config.checkpoint, config.device, log, config.sandbox)
-                )
+                policy = stack.enter_context(self._open_policy())
             with self._timed("observe"):
                 observe_batches(cache, wanted, self.progress)
             with self._timed("infer"):
                 self._begin()
                 self._note_policy(policy)
                 infer_batches(policy, backend, cache, wanted, self.ledger, self.progress)
+
+    def _open_policy(self) -> AbstractContextManager[PolicyProcess]:
+        config = self.config
+        log = self.folder.policy_log
+        return self.backend.open_policy(config.policy, config.checkpoint, config.device, log, config.sandbox)
 
     def _note_policy(self, policy: PolicyProcess) -> None:
         known = self.folder.header["policy"].get("privileged")
@@ -257,10 +254,7 @@ class _Run:
                 self.progress.phase("audit", unasked + len(jobs))
                 self._begin()
             if unasked:
-                log = self.folder.policy_log
-                with backend.open_policy(
-                    config.policy, config.checkpoint, config.device, log, config.sandbox
-                ) as policy:
+                with self._open_policy() as policy:
                     self._note_policy(policy)
                     for count in ask_again(policy, backend, wanted, config.batch_size, again):
                         self.progress.advance(count)

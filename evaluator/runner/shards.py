@@ -14,19 +14,7 @@ _FORM = re.compile(r"(\d+)/(\d+)")
 
 @dataclass(frozen=True, slots=True)
 class RunShard:
-    """Shard ``number`` of ``count`` of the scenarios of a run.
-
-    Attributes
-    ----------
-    number : int
-        From 1.
-    count : int
-
-    Raises
-    ------
-    InputError
-        ``number`` is not one of 1 to ``count``.
-    """
+    """Shard ``number`` (from 1) of ``count`` of the scenarios of a run."""
 
     number: int
     count: int
@@ -37,13 +25,7 @@ class RunShard:
 
     @classmethod
     def parse(cls, text: str) -> RunShard:
-        """The shard that ``2/8`` means.
-
-        Raises
-        ------
-        InputError
-            It is not written like that, or there is no such shard.
-        """
+        """The shard that ``2/8`` means; an InputError where there is no such shard."""
         found = _FORM.fullmatch(text)
         if found is None:
             raise InputError(f"{text!r} is not a shard", hint="write number/count: --shard 2/8", text=text)
@@ -53,21 +35,10 @@ class RunShard:
         return f"{self.number}/{self.count}"
 
     def indices(self, episodes: int, batch_size: int) -> range:
-        """Scenarios of this shard: a run of whole batches, so that a policy is asked the same questions as in one run.
+        """Scenarios of this shard: whole batches, so that a policy is asked the same questions as in one run.
 
-        The shards of one ``count`` are disjoint and cover all scenarios; none is empty.
-
-        Parameters
-        ----------
-        episodes : int
-            Of the whole run.
-        batch_size : int
-            Observations in one question to the policy.
-
-        Raises
-        ------
-        InputError
-            There are more shards than batches.
+        The shards of one ``count`` are disjoint and cover all scenarios; none is empty: an InputError where there are
+        more shards than batches.
         """
         batches = -(-episodes // batch_size)
         if self.count > batches:

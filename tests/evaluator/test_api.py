@@ -17,8 +17,8 @@ NAMES = ["check_policy", "compare", "evaluate", "leaderboard", "read_run", "repl
 def test_the_public_names() -> None:
     assert sorted(evaluator.__all__) == NAMES
     assert set(NAMES) <= set(dir(evaluator))
-    with pytest.raises(AttributeError, match="no attribute 'judge'"):
-        evaluator.judge  # noqa: B018
+    with pytest.raises(AttributeError, match="no attribute 'score'"):
+        evaluator.score  # noqa: B018
 
 
 def test_it_offers_what_the_command_offers() -> None:
@@ -39,7 +39,7 @@ def test_importing_it_loads_nothing() -> None:
 @pytest.mark.parametrize(
     "first", ["", "import evaluator.replay.play, evaluator.leaderboard.board", "from evaluator import *"]
 )
-def test_the_names_are_functions_whatever_was_imported_before(first: str) -> None:
+def test_the_names_are_functions_in_any_order_of_imports(first: str) -> None:
     """``leaderboard`` and ``replay`` are packages too, which their functions must not hide."""
     code = f"{first}\nimport evaluator\nprint(all(callable(getattr(evaluator, name)) for name in {NAMES}))\n"
     code += "from evaluator import leaderboard\nprint(len(leaderboard([], entries=False).rows) > 0)\n"

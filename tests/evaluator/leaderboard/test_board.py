@@ -140,7 +140,7 @@ def test_an_edited_summary_of_a_sealed_run_is_refused(write: Write) -> None:
 
 def test_a_rank_that_hangs_on_lost_episodes_is_none(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
     """Six discordant pairs decide; three lost episodes could undo them, and do no harm where the gap is wide."""
-    monkeypatch.setattr("evaluator.leaderboard.eligibility.infra_limit", lambda: 0.05)
+    monkeypatch.setattr("evaluator.leaderboard.eligibility.INFRA_LIMIT", 0.05)
     a = solved(0.5, 1)
     close = a.copy()
     close[np.flatnonzero(~close)[:6]] = True

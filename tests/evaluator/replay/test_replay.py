@@ -97,7 +97,7 @@ def test_end_to_end_every_step_is_played_from_the_log(home: Path) -> None:
         assert [None if value >= grid.ACTIONS - 2 else value for value in log[:, step].tolist()] == recorded
 
 
-def test_a_fraction_is_drawn_anew_and_bounds_the_rest(home: Path) -> None:
+def test_a_fraction_is_drawn_again_and_bounds_the_rest(home: Path) -> None:
     first, second = (play(home / "short", fraction=0.25) for _ in range(2))
     assert first.ok and first.replayed == EPISODES // 4
     assert first.seed != second.seed
@@ -119,7 +119,7 @@ def test_a_fraction_is_drawn_anew_and_bounds_the_rest(home: Path) -> None:
         ("step0_x_m", lambda value: value + grid.PIXEL_M),
     ],
 )
-def test_a_false_row_is_found_though_everything_is_sealed_anew(
+def test_a_false_row_is_found_though_everything_is_sealed_again(
     copy_of: Copy, column: str, change: Callable[[Any], Any]
 ) -> None:
     run = copy_of("short")
@@ -148,7 +148,7 @@ def test_a_forged_sample_is_caught_with_the_rate_it_was_forged(copy_of: Copy) ->
     assert report.different_rows == len(report.findings) > 0
 
 
-def test_a_false_statistic_is_found_though_it_is_sealed_anew(copy_of: Copy) -> None:
+def test_a_false_statistic_is_found_though_it_is_sealed_again(copy_of: Copy) -> None:
     run = copy_of("short")
     table = pq.read_table(run / "results.parquet")
     reseal(run, table, success_rate=0.99, policy="better")
@@ -291,7 +291,7 @@ def test_sign_and_check(copy_of: Copy) -> None:
     assert play(run, fraction=0, public_key=public).ok
     other = play(run, fraction=0, public_key=Ed25519PrivateKey.generate().public_key())
     assert [finding.file for finding in other.findings] == ["run.json.sig"]
-    # A forger can seal anew, but not sign.
+    # A forger can seal again, but not sign.
     table = pq.read_table(run / "results.parquet")
     reseal(run, with_value(table, "step0_lift_m", 3, 0.125))
     assert "run.json.sig" in {finding.file for finding in play(run, fraction=0, public_key=public).findings}

@@ -1,4 +1,4 @@
-"""The page: right numbers, nothing from outside, nothing of a stranger's that acts, the same bytes twice."""
+"""The page: right numbers, nothing from outside, no script of a policy runs, the same bytes twice."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_numbers_are_those_of_the_summary(push_run: Path, page: Page) -> None:
         assert summary[name] in page.text
 
 
-def test_what_a_stranger_wrote_is_words(push_report: WrittenReport, page: Page) -> None:
+def test_what_a_policy_said_is_escaped(push_report: WrittenReport, page: Page) -> None:
     assert HOSTILE_NAME in page.text and HOSTILE_WORDS in page.text
     assert len(page.scripts) == 1 and "alert" not in page.scripts[0]
     assert not [attributes for _, attributes in page.elements if any(name.startswith("on") for name in attributes)]
@@ -147,7 +147,7 @@ def test_another_scenario_list_is_not_played(push_run: Path, tmp_path: Path, mon
     assert "is not the one of the run" in Page(written.path).text
 
 
-def test_an_episode_that_ends_otherwise_says_so(fake_home: Path, installation: Path) -> None:
+def test_an_episode_that_differs_says_so(fake_home: Path, installation: Path) -> None:
     """The fake world's outcomes are not those of the physics."""
     from evaluator.runner import run_evaluation
 
@@ -157,8 +157,8 @@ def test_an_episode_that_ends_otherwise_says_so(fake_home: Path, installation: P
     assert written.path == run / "report.html"
     page = Page(written.path)
     assert written.agreement["different"] > 0
-    assert page.text.count("Played again here, this step ended differently") == written.agreement["different"]
-    assert f"{written.agreement['different']} ended differently" in page.text
+    assert page.text.count("Played again here, this step differed") == written.agreement["different"]
+    assert f"{written.agreement['different']} differed" in page.text
     assert "has another protocol than the run" in page.text
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from evaluator.policy import PolicySpec
 from evaluator.report import ReportOptions, write_report
-from evaluator.report.scores import Asked, ask_scores, check_policy
+from evaluator.report.scores import ask_scores, check_policy
 from evaluator.run.reading import read_run
 from rema_data import grid
 from rema_data.errors import RunMismatchError, SubmissionError
@@ -26,7 +26,7 @@ def policy(class_name: str) -> PolicySpec:
 
 def test_scores_are_those_of_the_recorded_actions() -> None:
     cells = [(20, 10, 0), (30, 40, 8), (50, 32, 15)]
-    asked = ask_scores(Asked(policy("ScoringPolicy")), [(SITUATION, int(grid.encode(*cell))) for cell in cells])
+    asked = ask_scores(policy("ScoringPolicy"), [(SITUATION, int(grid.encode(*cell))) for cell in cells])
     assert [one.chosen for one in asked] == pytest.approx([j / 64 * (1 - k / 16) for _, j, k in cells])
     assert asked[0].best.shape == (64, 64)
     assert asked[0].best[30, 40] == pytest.approx(40 / 64)
@@ -50,7 +50,7 @@ def test_without_a_policy_the_page_says_that_there_are_no_scores(push_run: Path,
     assert "A run records actions and no scores" in Page(written.path).text
 
 
-def test_scores_that_are_no_shares_have_no_calibration(installation: Path, tmp_path: Path) -> None:
+def test_scores_outside_0_to_1_have_no_calibration(installation: Path, tmp_path: Path) -> None:
     spec = policy("OddsPolicy")
     evaluate_pushes(tmp_path / "run", spec)
     written = write_report(tmp_path / "run", options=ReportOptions(per_label=0, policy=spec))
@@ -69,10 +69,10 @@ def test_scores_that_are_no_shares_have_no_calibration(installation: Path, tmp_p
 )
 def test_a_policy_without_maps_is_refused(class_name: str, reason: str) -> None:
     with pytest.raises(SubmissionError, match=reason):
-        ask_scores(Asked(policy(class_name)), [(SITUATION, 0)])
+        ask_scores(policy(class_name), [(SITUATION, 0)])
 
 
-def test_it_stands_behind_the_walls_of_an_evaluation(tmp_path: Path) -> None:
+def test_it_runs_in_the_sandbox_of_an_evaluation(tmp_path: Path) -> None:
     """It sees neither the outcomes that its scores are compared with nor the network."""
     mine = tmp_path / "mine.py"
     shutil.copy(POLICY, mine)
@@ -82,7 +82,7 @@ def test_it_stands_behind_the_walls_of_an_evaluation(tmp_path: Path) -> None:
     (run / "results.parquet").write_text("outcomes")
     notes: list[str] = []
     spec = PolicySpec("mine", mine, "CuriousPolicy")
-    (seen,) = ask_scores(Asked(spec), [(SITUATION, 0)], run, notes.append)
+    (seen,) = ask_scores(spec, [(SITUATION, 0)], run=run, note=notes.append)
     if "isolation L1" in notes[0]:
         pytest.skip(notes[0])
     assert seen.chosen == 0  # of its tries

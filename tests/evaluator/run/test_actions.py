@@ -1,4 +1,4 @@
-"""The action log holds every action, and what is no action can be taken for none."""
+"""The action log holds every action; the two values for "no action" cannot be confused with one."""
 
 from __future__ import annotations
 

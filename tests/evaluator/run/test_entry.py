@@ -1,4 +1,4 @@
-"""Entries: what is packed comes out again, and whatever was changed is refused by the file's name."""
+"""Submission files: reading returns what was written, and a changed file is refused by name."""
 
 from __future__ import annotations
 
@@ -188,9 +188,9 @@ def test_a_run_and_its_entry_say_the_same(tmp_path: Path, monkeypatch: pytest.Mo
     assert encode(run) == encode(entry)
     with pytest.raises(MissingFileError):
         read_run(tmp_path / "none")
-    with pytest.raises(InputError, match="is an entry of the leaderboard"):
+    with pytest.raises(InputError, match="is a submission file"):
         read_run(path, with_findings=True)
-    with pytest.raises(InputError, match="is an entry of the leaderboard"):
+    with pytest.raises(InputError, match="is a submission file"):
         _ = entry.table
 
 

@@ -19,7 +19,7 @@ def test_the_command_that_goes_on_names_the_device_that_was_used() -> None:
     shard = {"shard": "1/2", "batch_size": 16}
     header["segments"] = [shard, shard]
     assert " --shard 1/2 --batch-size 16 --episodes 20 " in resume_command(header, Path("runs/mine"))
-    header["segments"] = [shard, {**shard, "shard": "2/2"}]  # of a merged run, which goes on as a whole
+    header["segments"] = [shard, {**shard, "shard": "2/2"}]  # of a merged run, which continues as a whole
     assert resume_command(header, Path("x")) == f"{said} --batch-size 16 --episodes 20 --output x"
     header["segments"] = [{"number": 1}]  # as runs of before this was noted
     assert resume_command(header, Path("runs/mine")) == f"{said} --episodes 20 --output runs/mine"

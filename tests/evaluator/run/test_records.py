@@ -69,7 +69,7 @@ def test_a_changed_digit_is_an_error(tmp_path: Path, name: str, old: bytes, new:
 
 
 def test_an_outcome_counts_only_beside_the_answer_that_it_belongs_to(tmp_path: Path) -> None:
-    """An answer whose line was deleted, because it was damaged, may come out otherwise when it is given again."""
+    """An answer whose line was deleted, because it was damaged, may differ when it is given again."""
     fill(tmp_path, [0, 1, 2])
     path = tmp_path / "answers-0001.jsonl"
     path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[1:]))

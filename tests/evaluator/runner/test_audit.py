@@ -16,10 +16,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from evaluator.leaderboard.eligibility import obstacles
+from evaluator.protocol import AUDIT_LEAST
 from evaluator.run.reading import read_run
 from evaluator.run.records import Ledger
 from evaluator.runner import run_evaluation
-from evaluator.runner.audit import LEAST_EPISODES
 from evaluator.statistics import clopper_pearson
 from rema_data.errors import InputError, PolicyFailureError, SubmissionError
 from rema_data.schema import Situation, StepOutcome
@@ -79,7 +79,7 @@ def audited(output: Path, kind: type[FakePolicyProcess] = FakePolicyProcess, **c
     return found
 
 
-@pytest.mark.parametrize(("share", "expected"), [(0.01, LEAST_EPISODES), (0.5, 150)])
+@pytest.mark.parametrize(("share", "expected"), [(0.01, AUDIT_LEAST), (0.5, 150)])
 def test_a_pure_policy_in_a_pure_world_has_no_flips(fake_home: Path, share: float, expected: int) -> None:
     audit = audited(fake_home / "run", episodes=300, audit_share=share)
     assert audit["episodes"] == audit["actions"] == audit["outcomes"] == expected
@@ -118,7 +118,7 @@ def test_a_policy_that_counts_its_questions_does_not_know_the_scenario(fake_home
 def test_a_world_that_depends_on_its_process_shows(fake_home: Path) -> None:
     audit = audited(fake_home / "run", episodes=40, simulator="tests.evaluator.runner.test_audit:Restless")
     assert audit["action_flips"] == 0
-    assert audit["outcome_flips"] == audit["outcomes"] == LEAST_EPISODES
+    assert audit["outcome_flips"] == audit["outcomes"] == AUDIT_LEAST
     assert audit["outcome_flips_ci95"][1] == 1.0
 
 
@@ -148,7 +148,7 @@ def test_an_interrupted_audit_goes_on_where_it_stopped(fake_home: Path) -> None:
 
         def advance(self, n: int) -> None:
             self.done += n * self.auditing
-            if self.done >= LEAST_EPISODES + 5:
+            if self.done >= AUDIT_LEAST + 5:
                 raise KeyboardInterrupt
 
         def note(self, text: str) -> None:
@@ -158,10 +158,10 @@ def test_an_interrupted_audit_goes_on_where_it_stopped(fake_home: Path) -> None:
     process = FakePolicyProcess()
     with pytest.raises(KeyboardInterrupt):
         run_evaluation(config, Impatient(), backend=fake_backend(process))
-    assert process.asked == 100 + LEAST_EPISODES
+    assert process.asked == 100 + AUDIT_LEAST
     summary = run_evaluation(config, backend=fake_backend(process)).summary
-    assert process.asked == 100 + LEAST_EPISODES  # no question twice
-    assert summary["audit"]["outcomes"] == LEAST_EPISODES and summary["segments"] == 2
+    assert process.asked == 100 + AUDIT_LEAST  # no question twice
+    assert summary["audit"]["outcomes"] == AUDIT_LEAST and summary["segments"] == 2
     table = "results.parquet"
     assert (fake_home / "run" / table).read_bytes() == (fake_home / "whole" / table).read_bytes()
 

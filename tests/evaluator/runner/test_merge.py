@@ -1,4 +1,4 @@
-"""Merged parts are the run that was never divided, and whatever is no such part is refused by name."""
+"""Merged shards are the run that was never divided; what is not a shard of it is refused by name."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ EPISODES, COUNT, BATCH = 200, 3, 16
 SAME = ("results.parquet", "actions.bin", "leaves.bin")
 
 
-def cut(whole: Path, part: Path, indices: Iterable[int], shard: str) -> Path:
+def cut(whole: Path, folder: Path, indices: Iterable[int], shard: str) -> Path:
     """The folder that a run would have left that played these scenarios alone."""
     chosen = set(indices)
-    part.mkdir(parents=True)
+    folder.mkdir(parents=True)
     header = json.loads((whole / "run.json").read_text())
     for segment in header["segments"]:
         segment["shard"] = shard
-    (part / "run.json").write_text(json.dumps(header))
+    (folder / "run.json").write_text(json.dumps(header))
     for journal in (whole / "records").rglob("*.jsonl"):
         lines = journal.read_bytes().splitlines(keepends=True)
-        target = part / journal.relative_to(whole)
+        target = folder / journal.relative_to(whole)
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_bytes(b"".join(line for line in lines if json.loads(line)[1]["index"] in chosen))
-    return part
+    return folder
 
 
 def table(folder: Path) -> list[bytes]:
@@ -48,7 +48,7 @@ def table(folder: Path) -> list[bytes]:
 
 @pytest.fixture(scope="module")
 def divided(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a whole run and of its three parts, only to be read."""
+    """Folder of a whole run and of its three shards, only to be read."""
     folder = tmp_path_factory.mktemp("divided")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("REMA_MANIFESTS", str(folder / "manifests"))
@@ -57,8 +57,8 @@ def divided(tmp_path_factory: pytest.TempPathFactory) -> Path:
         config = fake_config(folder / "whole", task=LONG, protocol="end-to-end", batch_size=BATCH, engine="inline")
         run_evaluation(config, backend=fake_backend())
     for number in range(1, COUNT + 1):
-        part = RunShard(number, COUNT)
-        cut(folder / "whole", folder / f"part{number}", part.indices(EPISODES, BATCH), str(part))
+        shard = RunShard(number, COUNT)
+        cut(folder / "whole", folder / f"shard{number}", shard.indices(EPISODES, BATCH), str(shard))
     return folder
 
 
@@ -68,13 +68,13 @@ def whole(divided: Path) -> Path:
 
 
 @pytest.fixture
-def parts(divided: Path, fake_home: Path) -> list[Path]:
-    """Three parts of it, to be changed."""
-    return [shutil.copytree(divided / f"part{number}", fake_home / f"part{number}") for number in range(1, COUNT + 1)]
+def shards(divided: Path, fake_home: Path) -> list[Path]:
+    """Three shards of it, to be changed."""
+    return [shutil.copytree(divided / f"shard{number}", fake_home / f"shard{number}") for number in range(1, COUNT + 1)]
 
 
-def test_merged_parts_have_the_bytes_of_the_whole_run(whole: Path, parts: list[Path], fake_home: Path) -> None:
-    result = merge_runs(parts[::-1], fake_home / "merged")
+def test_merged_shards_have_the_bytes_of_the_whole_run(whole: Path, shards: list[Path], fake_home: Path) -> None:
+    result = merge_runs(shards[::-1], fake_home / "merged")
     assert table(fake_home / "merged") == table(whole)
     before = json.loads((whole / "summary.json").read_text())
     differ = {name for name in before if before[name] != result.summary[name]}
@@ -82,8 +82,8 @@ def test_merged_parts_have_the_bytes_of_the_whole_run(whole: Path, parts: list[P
     assert result.summary["audit"]["actions"] > 0
 
 
-def test_a_merged_run_is_sealed_and_goes_on_like_any_other(parts: list[Path], fake_home: Path) -> None:
-    merge_runs(parts, fake_home / "merged")
+def test_a_merged_run_is_sealed_and_goes_on_like_any_other(shards: list[Path], fake_home: Path) -> None:
+    merge_runs(shards, fake_home / "merged")
     assert read_run(fake_home / "merged").seal_state == "whole"
     before = table(fake_home / "merged")
     process = FakePolicyProcess()
@@ -93,93 +93,93 @@ def test_a_merged_run_is_sealed_and_goes_on_like_any_other(parts: list[Path], fa
     assert table(fake_home / "merged") == before
 
 
-def test_parts_are_left_as_they_are(parts: list[Path], fake_home: Path) -> None:
+def test_shards_are_left_as_they_are(shards: list[Path], fake_home: Path) -> None:
     def content() -> dict[Path, bytes]:
         return {
             path: path.read_bytes()
-            for part in parts
-            for path in part.rglob("*")
+            for shard in shards
+            for path in shard.rglob("*")
             if path.name != ".lock" and path.is_file()
         }
 
     before = content()
-    merge_runs(parts, fake_home / "merged")
+    merge_runs(shards, fake_home / "merged")
     assert content() == before
 
 
-def test_a_missing_part_is_named(parts: list[Path], fake_home: Path) -> None:
+def test_a_missing_shard_is_named(shards: list[Path], fake_home: Path) -> None:
     with pytest.raises(InputError, match=r"no folder is of shard 2/3"):
-        merge_runs([parts[0], parts[2]], fake_home / "merged")
+        merge_runs([shards[0], shards[2]], fake_home / "merged")
     assert not list(fake_home.glob("*merg*"))
 
 
-def test_a_part_that_is_not_finished(parts: list[Path], fake_home: Path) -> None:
-    journal = next((parts[1] / "records").glob("outcomes-*.jsonl"))
+def test_a_shard_that_is_not_finished(shards: list[Path], fake_home: Path) -> None:
+    journal = next((shards[1] / "records").glob("outcomes-*.jsonl"))
     lines = journal.read_bytes().splitlines(keepends=True)
     journal.write_bytes(b"".join(lines[:-3]))
-    with pytest.raises(InputError, match="3 of 200 episodes are in no part, or not finished"):
-        merge_runs(parts, fake_home / "merged")
+    with pytest.raises(InputError, match="3 of 200 episodes are in no shard, or not finished"):
+        merge_runs(shards, fake_home / "merged")
 
 
-def test_parts_that_overlap(parts: list[Path], fake_home: Path) -> None:
-    shutil.copytree(parts[1], fake_home / "copy")
-    with pytest.raises(InputError, match=f"scenario 64 is both in {parts[1]} and in {fake_home / 'copy'}"):
-        merge_runs([*parts, fake_home / "copy"], fake_home / "merged")
+def test_shards_that_overlap(shards: list[Path], fake_home: Path) -> None:
+    shutil.copytree(shards[1], fake_home / "copy")
+    with pytest.raises(InputError, match=f"scenario 64 is both in {shards[1]} and in {fake_home / 'copy'}"):
+        merge_runs([*shards, fake_home / "copy"], fake_home / "merged")
     with pytest.raises(InputError, match="given twice"):
-        merge_runs([*parts, parts[1]], fake_home / "merged")
+        merge_runs([*shards, shards[1]], fake_home / "merged")
 
 
 @pytest.mark.parametrize(
     ("field", "value"),
     [("policy_digest", "other"), ("fingerprint", {"pybullet": "1"}), ("scenarios_hash", "x"), ("protocol_hash", "y")],
 )
-def test_parts_of_other_runs(parts: list[Path], fake_home: Path, field: str, value: Any) -> None:
-    path = parts[2] / "run.json"
+def test_shards_of_other_runs(shards: list[Path], fake_home: Path, field: str, value: Any) -> None:
+    path = shards[2] / "run.json"
     header = json.loads(path.read_text())
     header["identity"][field] = value
     path.write_text(json.dumps(header))
     with pytest.raises(RunMismatchError, match=f"the {field} of the first is"):
-        merge_runs(parts, fake_home / "merged")
+        merge_runs(shards, fake_home / "merged")
 
 
-def test_parts_of_another_number_of_episodes(parts: list[Path], fake_home: Path) -> None:
-    path = parts[2] / "run.json"
+def test_shards_of_another_number_of_episodes(shards: list[Path], fake_home: Path) -> None:
+    path = shards[2] / "run.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "episodes": 300}))
     with pytest.raises(RunMismatchError, match="the episodes of the first is 200"):
-        merge_runs(parts, fake_home / "merged")
+        merge_runs(shards, fake_home / "merged")
 
 
-def test_a_list_that_has_changed_since(parts: list[Path], fake_home: Path) -> None:
-    for part in parts:
-        path = part / "run.json"
+def test_a_list_that_has_changed_since(shards: list[Path], fake_home: Path) -> None:
+    for shard in shards:
+        path = shard / "run.json"
         header = json.loads(path.read_text())
         header["identity"]["scenarios_hash"] = "x"
         path.write_text(json.dumps(header))
-    with pytest.raises(RunMismatchError, match="scenario list x"):
-        merge_runs(parts, fake_home / "merged")
+    with pytest.raises(RunMismatchError, match="another scenario list than the one here: x"):
+        merge_runs(shards, fake_home / "merged")
 
 
-def test_damaged_records(parts: list[Path], fake_home: Path) -> None:
-    journal = next((parts[1] / "records").glob("outcomes-*.jsonl"))
+def test_damaged_records(shards: list[Path], fake_home: Path) -> None:
+    journal = next((shards[1] / "records").glob("outcomes-*.jsonl"))
     lines = journal.read_bytes().splitlines(keepends=True)
     lines[4] = lines[4].replace(b"true", b"True").replace(b"false", b"False")
     journal.write_bytes(b"".join(lines))
     with pytest.raises(IntegrityError, match="line 5 is damaged"):
-        merge_runs(parts, fake_home / "merged")
+        merge_runs(shards, fake_home / "merged")
 
 
-def test_a_part_that_is_being_written(parts: list[Path], fake_home: Path) -> None:
-    with FileLock(parts[0] / ".lock"), pytest.raises(InputError, match=f"another process is writing in {parts[0]}"):
-        merge_runs(parts, fake_home / "merged")
+def test_a_shard_that_is_being_written(shards: list[Path], fake_home: Path) -> None:
+    with FileLock(shards[0] / ".lock"), pytest.raises(InputError, match=f"another process is writing in {shards[0]}"):
+        merge_runs(shards, fake_home / "merged")
 
 
-def test_an_output_that_is_there(parts: list[Path], whole: Path, fake_home: Path) -> None:
+def test_an_output_that_is_there(shards: list[Path], whole: Path, fake_home: Path) -> None:
     before = table(whole)
-    with pytest.raises(InputError, match="there already"):
-        merge_runs(parts, whole)
+    with pytest.raises(InputError, match="exists already"):
+        merge_runs(shards, whole)
     assert table(whole) == before
     (fake_home / "empty").mkdir()
-    merge_runs(parts, fake_home / "empty")
+    merge_runs(shards, fake_home / "empty")
 
 
 def test_no_run_and_nothing(fake_home: Path) -> None:
@@ -189,8 +189,8 @@ def test_no_run_and_nothing(fake_home: Path) -> None:
         merge_runs([], fake_home / "merged")
 
 
-def test_the_verb(whole: Path, parts: list[Path], fake_home: Path) -> None:
-    words = ["merge", *map(str, parts), "--output", str(fake_home / "merged")]
+def test_the_verb(whole: Path, shards: list[Path], fake_home: Path) -> None:
+    words = ["merge", *map(str, shards), "--output", str(fake_home / "merged")]
     said = CliRunner().invoke(cli, [*words, "--json"], prog_name="rema")
     assert said.exit_code == 0, said.stderr
     assert json.loads(said.stdout) == json.loads((fake_home / "merged" / "summary.json").read_text())
@@ -208,35 +208,35 @@ def test_divided_runs(task: str, fake_home: Path) -> None:
     for number in range(1, COUNT + 1):
         shard = RunShard(number, COUNT)
         process = FakePolicyProcess()
-        config = fake_config(fake_home / f"part{number}", shard=shard, **changes)
+        config = fake_config(fake_home / f"shard{number}", shard=shard, **changes)
         summary = run_evaluation(config, backend=fake_backend(process)).summary
         size = len(shard.indices(EPISODES, BATCH))
         assert summary["eligible"] == size and summary["unfinished"] == EPISODES - size
-        folders.append(fake_home / f"part{number}")
+        folders.append(fake_home / f"shard{number}")
     with pytest.raises(InputError, match=r"no folder is of shard 1/3"):
         merge_runs(folders[1:], fake_home / "merged")
     merge_runs(folders, fake_home / "merged")
     assert table(fake_home / "merged") == table(fake_home / "whole")
 
 
-def test_a_part_that_was_stopped_before_its_end(parts: list[Path], fake_home: Path) -> None:
+def test_a_shard_that_was_stopped_before_its_end(shards: list[Path], fake_home: Path) -> None:
     """All its scenarios have results, but what is repeated was not."""
-    header = json.loads((parts[1] / "run.json").read_text())
+    header = json.loads((shards[1] / "run.json").read_text())
     del header["seal"]
-    (parts[1] / "run.json").write_text(json.dumps(header))
-    with pytest.raises(InputError, match="part2 has no seal") as caught:
-        merge_runs(parts, fake_home / "merged")
+    (shards[1] / "run.json").write_text(json.dumps(header))
+    with pytest.raises(InputError, match="shard2 has no seal") as caught:
+        merge_runs(shards, fake_home / "merged")
     assert "--shard 2/3 --batch-size 16" in caught.value.hint and not (fake_home / "merged").exists()
 
 
-def test_parts_on_a_disk_that_may_not_be_written(
-    parts: list[Path], fake_home: Path, monkeypatch: pytest.MonkeyPatch
+def test_shards_on_a_disk_that_may_not_be_written(
+    shards: list[Path], fake_home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(lock: FileLock) -> None:
-        if Path(lock.lock_file).parent in parts:
+        if Path(lock.lock_file).parent in shards:
             raise OSError(errno.EROFS, "Read-only file system", lock.lock_file)
         acquire(lock)
 
     acquire = FileLock._acquire
     monkeypatch.setattr(FileLock, "_acquire", refuse)
-    assert merge_runs(parts, fake_home / "merged").summary["unfinished"] == 0
+    assert merge_runs(shards, fake_home / "merged").summary["unfinished"] == 0

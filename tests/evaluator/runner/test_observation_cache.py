@@ -9,7 +9,7 @@ import pytest
 
 from evaluator.rollout.ask import question
 from evaluator.runner.observation_cache import ObservationCache
-from evaluator.runner.observe import batches, shuffled
+from evaluator.runner.questions import batches, shuffled
 from rema_data.schema import Observation, Situation
 from tests.evaluator.fakes import fake_backend, fake_observe, fake_scenario
 

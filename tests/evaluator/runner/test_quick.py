@@ -1,4 +1,4 @@
-"""A first look stops as soon as one policy is significantly better, says so, and leaves a run that goes on."""
+"""A quick run stops as soon as one policy is significantly better, reports it, and can be continued."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from typing import Any
 
 import pytest
 
+from evaluator.protocol import FIRST_LOOK
 from evaluator.run.reading import read_run
 from evaluator.runner import run_evaluation
-from evaluator.runner.quick import FIRST_LOOK, quick_evaluation
+from evaluator.runner.quick import quick_evaluation
 from rema_data.errors import InputError, MissingFileError
 from rema_data.schema import Failure, Situation, StepOutcome
 from tests.evaluator.fakes import FakeSimulator, fake_backend, fake_config

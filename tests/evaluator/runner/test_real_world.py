@@ -55,11 +55,11 @@ def test_killed_and_resumed(reference: bytes, home: Path) -> None:
     command = [sys.executable, "-m", "evaluator.cli", *arguments, "--output", str(output)]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
     journal = output / "records" / "outcomes-0001.jsonl"
-    with subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL) as judge:
+    with subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL) as evaluation:
         deadline = time.monotonic() + 30
         while time.monotonic() < deadline and not (journal.exists() and journal.read_bytes().count(b"\n") >= 5):
             time.sleep(0.005)
-        judge.send_signal(signal.SIGKILL)
+        evaluation.send_signal(signal.SIGKILL)
     assert 5 <= journal.read_bytes().count(b"\n") < EPISODES
     assert not (output / "results.parquet").exists()
     assert table(output) == reference

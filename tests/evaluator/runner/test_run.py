@@ -73,13 +73,13 @@ def test_same_bytes_after_kill_of_the_whole_run(
     output = fake_home / "run"
     monkeypatch.setenv(FAULTS, json.dumps({"delay_s": 0.005}))
     command = [sys.executable, "-m", "tests.evaluator.fakes", str(output), LONG, "end-to-end"]
-    with subprocess.Popen(command, env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}) as judge:
+    with subprocess.Popen(command, env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}) as evaluation:
         deadline = time.monotonic() + 30
         journal = output / "records" / "outcomes-0001.jsonl"
         while time.monotonic() < deadline and not (journal.exists() and journal.read_bytes().count(b"\n") > 60):
             time.sleep(0.02)
-        workers = psutil.Process(judge.pid).children(recursive=True)
-        judge.send_signal(signal.SIGKILL)
+        workers = psutil.Process(evaluation.pid).children(recursive=True)
+        evaluation.send_signal(signal.SIGKILL)
     assert len(workers) >= 2
     while time.monotonic() < deadline + 5 and any(map(running, workers)):
         time.sleep(0.02)

@@ -1,0 +1,122 @@
+"""The questions of a step, in batches: all are observed into the cache, then the policy is asked.
+
+Its answers are on disk before anything is simulated.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from evaluator.protocol import FAULT_CHECK, FAULT_LIMIT
+from evaluator.rollout.ask import record_answers
+from evaluator.rollout.backend import Backend, PolicyProcess
+from evaluator.run.records import Ledger
+from evaluator.runner.observation_cache import Block, ObservationCache
+from rema_data.errors import PolicyFailureError
+from rema_data.progress import Progress
+from rema_data.schema import Situation
+
+__all__ = ["Batch", "batches", "check_faults", "infer_batches", "observe_batches", "shuffled"]
+
+_BLOCK = 512
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """One question to the policy: ``rows`` of one ``block`` of the cache.
+
+    ``indices`` are those of the scenarios, in the order in which the policy is asked about them; the situations of the
+    block name it in the cache.
+    """
+
+    indices: tuple[int, ...]
+    block: tuple[Situation, ...]
+    rows: tuple[int, ...]
+
+    @property
+    def situations(self) -> tuple[Situation, ...]:
+        """Situations of this batch."""
+        return tuple(self.block[row] for row in self.rows)
+
+
+def batches(alive: Mapping[int, Situation], batch_size: int) -> list[Batch]:
+    """The questions of one step: fixed by the order of the scenarios in ``alive``, independent of earlier answers."""
+    indices, situations = tuple(alive), tuple(alive.values())
+    size = batch_size * max(1, _BLOCK // batch_size)
+    found = []
+    for start in range(0, len(indices), size):
+        block = situations[start : start + size]
+        for row in range(0, len(block), batch_size):
+            rows = tuple(range(row, min(row + batch_size, len(block))))
+            found.append(Batch(tuple(indices[start + one] for one in rows), block, rows))
+    return found
+
+
+def shuffled(wanted: Sequence[Batch], salt: str) -> list[Batch]:
+    """The same questions in an order that only the run knows: no policy can identify a scenario by counting.
+
+    Which scenarios share a question does not change. Batches of one block stay together. ``salt`` is drawn for the run,
+    and what is left of ``wanted`` after an interruption keeps its order.
+    """
+
+    def rank(what: object) -> bytes:
+        return hashlib.blake2b(repr(what).encode(), digest_size=16, key=salt.encode()).digest()
+
+    def mixed(batch: Batch) -> Batch:
+        pairs = sorted(zip(batch.indices, batch.rows, strict=True), key=lambda pair: rank(pair[0]))
+        return Batch(tuple(index for index, _ in pairs), batch.block, tuple(row for _, row in pairs))
+
+    blocks: dict[tuple[Situation, ...], list[Batch]] = {}
+    for batch in wanted:
+        blocks.setdefault(batch.block, []).append(batch)
+    in_order = sorted(blocks, key=lambda block: rank(block[0]))
+    return [mixed(batch) for block in in_order for batch in sorted(blocks[block], key=lambda one: rank(one.indices[0]))]
+
+
+def observe_batches(cache: ObservationCache, wanted: Sequence[Batch], progress: Progress) -> None:
+    """Put the blocks of ``wanted`` into the cache, one at a time."""
+    blocks = list({batch.block: None for batch in wanted})
+    progress.phase("observe", sum(len(block) for block in blocks))
+    for block in blocks:
+        cache.ensure(block)
+        progress.advance(len(block))
+
+
+def infer_batches(
+    policy: PolicyProcess,
+    backend: Backend,
+    cache: ObservationCache,
+    wanted: Sequence[Batch],
+    ledger: Ledger,
+    progress: Progress,
+) -> None:
+    """Ask the policy about the batches of one step and record its answers; ``check_faults`` as it goes."""
+    progress.phase("infer", sum(len(batch.indices) for batch in wanted))
+    block: Block | None = None
+    loaded: tuple[Situation, ...] = ()
+    for batch in wanted:
+        if block is None or loaded is not batch.block:
+            block, loaded = cache.load(batch.block), batch.block
+        observations = [block.observation(row) for row in batch.rows]
+        record_answers(policy, backend, batch.indices, batch.situations, ledger, observations)
+        progress.advance(len(batch.indices))
+        if len(ledger.answers) >= FAULT_CHECK:
+            check_faults(ledger)
+
+
+def check_faults(ledger: Ledger) -> None:
+    """Raise a PolicyFailureError, with the first fault, where the policy failed on more answers than a run allows."""
+    faults = [answer for answer in ledger.answers.values() if answer.action is None]
+    if len(faults) <= FAULT_LIMIT * len(ledger.answers):
+        return
+    first = faults[0]
+    raise PolicyFailureError(
+        f"the policy failed on {len(faults)} of {len(ledger.answers)} observations (limit {FAULT_LIMIT:.0%}); "
+        f"the first time on scenario {first.index}: {first.reason}: {first.detail}",
+        hint="fix the policy and evaluate it into a new folder (--output); what was recorded stays in this one",
+        faults=len(faults),
+        answered=len(ledger.answers),
+        reason=first.reason,
+    )
