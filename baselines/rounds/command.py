@@ -95,12 +95,11 @@ def rounds(
         if network is not None:
             show(train_network(recursion, output, network, progress=progress, device=device))
             return
-        left = stages
+        done = 0
         for stage in recurse(recursion, output, progress=progress, workers=workers, device=device):
             show(stage)
-            if left is not None and not stage.already:
-                left -= 1
-            if left == 0:
+            done += not stage.already
+            if done == stages:
                 break
     if publishing:
         publish(recursion, output)
@@ -109,12 +108,11 @@ def rounds(
 def _print_done(done: Collected, as_json: bool) -> None:
     from rich.filesize import decimal
 
-    manifest = done.release.manifest
+    manifest, counts = done.release.manifest, done.release.manifest.counts
     if as_json:
         facts = {"release": manifest.name, "path": str(done.release.path), "sha256": manifest.sha256}
-        print_json({**facts, "already": done.already, "counts": manifest.counts})
+        print_json({**facts, "already": done.already, "counts": counts})
         return
-    counts = manifest.counts
     what = "was sealed before, by the same plan" if done.already else "is sealed"
     line(
         f"{done.release.path} {what}: {counts['episodes']:,} episodes, {counts['steps']:,} steps, "
@@ -124,14 +122,8 @@ def _print_done(done: Collected, as_json: bool) -> None:
 
 
 def _print_expected(name: str, expected: Sequence[Estimate], as_json: bool) -> None:
-    totals = {
-        "episodes": sum(entry.block.episodes for entry in expected),
-        "seconds": round(sum(entry.seconds for entry in expected), 3),
-        "bytes": sum(entry.bytes for entry in expected),
-    }
-    if not as_json:
-        _print_table(name, expected, totals)
-        return
+    from rich.filesize import decimal
+
     blocks = [
         {
             **entry.block.key._asdict(),
@@ -142,22 +134,22 @@ def _print_expected(name: str, expected: Sequence[Estimate], as_json: bool) -> N
         }
         for entry in expected
     ]
-    print_json({"release": name, "blocks": blocks, "totals": totals})
+    totals = {key: sum(block[key] for block in blocks) for key in ("episodes", "seconds", "bytes")}
+    totals["seconds"] = round(sum(entry.seconds for entry in expected), 3)
+    if as_json:
+        print_json({"release": name, "blocks": blocks, "totals": totals})
+        return
 
-
-def _print_table(name: str, expected: Sequence[Estimate], totals: dict[str, Any]) -> None:
-    from rich.filesize import decimal
+    def cost(block: dict[str, Any]) -> tuple[str, str, str]:
+        return f"{block['episodes']:,}", _duration(block["seconds"]), decimal(block["bytes"])
 
     line(f"{name}: not collected")
     rows: list[Sequence[Any] | None] = []
-    for entry in expected:
-        block = entry.block
-        *picks, last = (use.spec.name for use in block.policies)
-        where = (str(block.key.round), block.key.task, block.key.split)
-        cost = (f"{block.episodes:,}", _duration(entry.seconds), decimal(entry.bytes))
-        rows.append((*where, last, ", ".join(dict.fromkeys(picks)), *cost))
-    cost = (f"{totals['episodes']:,}", _duration(totals["seconds"]), decimal(totals["bytes"]))
-    rows += [None, styled(("all", "", "", "", "", *cost), "bold")]
+    for block in blocks:
+        *picks, last = block["policies"]
+        where = (str(block["round"]), block["task"], block["split"])
+        rows.append((*where, last, ", ".join(dict.fromkeys(picks)), *cost(block)))
+    rows += [None, styled(("all", "", "", "", "", *cost(totals)), "bold")]
     numbers = ("episodes", "time", "size")
     print_table(("round", "task", "split", "policy", "picks", *numbers), rows, right=numbers)
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from functools import cached_property
+from collections.abc import Callable
+from functools import cache, cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,7 +46,7 @@ class Draws:
             raise InputError(f"unknown domain {domain!r}", hint=f"choose one of: {', '.join(DOMAINS)}", domain=domain)
         self._task, self._domain, self._protocol = task, domain, protocol
         self._plan = Plan((), task, protocol)
-        self._lists: dict[str, ScenarioList] = {}
+        self._list: Callable[[str, str | None], ScenarioList] = cache(partial(load_list, task))
 
     def draw(self, rng: np.random.Generator, simulator: Simulator) -> Start:
         """A scenario of the domain; the simulator picks the tools of a new one."""
@@ -85,12 +86,6 @@ class Draws:
         """Positions in the list of the domain that the protocol can be played on."""
         scenarios = self._list(self._domain, None).scenarios
         return [scenario.index for scenario in scenarios if self._plan.eligible(scenario)]
-
-    def _list(self, split: str, version: str | None) -> ScenarioList:
-        key = f"{version}/{split}"
-        if key not in self._lists:
-            self._lists[key] = load_list(self._task, split, version)
-        return self._lists[key]
 
     def _frozen(self, split: str, index: int, version: str | None = None) -> Start:
         found = self._list(split, version)

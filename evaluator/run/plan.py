@@ -10,9 +10,9 @@ from typing import Any, TypeVar
 from evaluator.engines import Job, JobBatch
 from evaluator.protocol import acting_steps
 from evaluator.run.records import Records
-from evaluator.scenarios import ScenarioList, load_list, reference_pinch, reference_tools
+from evaluator.scenarios import ScenarioList, load_list
 from rema_data.errors import RunMismatchError
-from rema_data.schema import Scenario, Situation, StepOutcome
+from rema_data.schema import Scenario, Situation, StepOutcome, pinch_step, tool_steps
 
 __all__ = ["Plan", "arrange", "job_batches", "scenario_list"]
 
@@ -35,7 +35,7 @@ class Plan:
         if self.end_to_end:
             return True
         has_pinch = scenario.pinch is not None
-        return len(scenario.grips) == reference_tools(self.task) and has_pinch == reference_pinch(self.task)
+        return len(scenario.grips) == len(tool_steps(self.task)) and has_pinch == (pinch_step(self.task) is not None)
 
     def alive(self, step: int, records: Records) -> dict[int, Situation]:
         """Situation of every episode that reaches ``step``, by scenario index, in ascending order."""

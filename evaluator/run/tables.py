@@ -17,9 +17,9 @@ import pyarrow.parquet as pq
 
 from evaluator.engines.base import InfraError
 from evaluator.run.records import Records
-from evaluator.scenarios import ScenarioList, reference_pinch, reference_tools, scenario_id
+from evaluator.scenarios import ScenarioList, scenario_id
 from rema_data import grid
-from rema_data.schema import TASKS, Evidence, Failure, ObjectSpec, Scenario, StepOutcome
+from rema_data.schema import TASKS, Evidence, Failure, ObjectSpec, Scenario, StepOutcome, pinch_step, tool_steps
 
 __all__ = [
     "TIMINGS_SCHEMA",
@@ -98,8 +98,8 @@ def results_schema(task: str) -> pa.Schema:
         (f"target_{field.name}", text if field.name == "shape" else real) for field in dataclasses.fields(ObjectSpec)
     ]
     fields += [("target_x_m", real), ("target_y_m", real), ("target_yaw_rad", real)]
-    fields += [(f"tool{n}_shape", text) for n in range(reference_tools(task))]
-    fields += [("pinch_shape", text)] if reference_pinch(task) else []
+    fields += [(f"tool{n}_shape", text) for n in range(len(tool_steps(task)))]
+    fields += [("pinch_shape", text)] if pinch_step(task) is not None else []
     for step in range(len(TASKS[task])):
         fields += [(f"step{step}_{name}", kind) for name, kind in _STEP_FIELDS]
     fields += [("success", pa.bool_()), ("failure", text), ("failed_step", pa.int8())]
@@ -138,7 +138,7 @@ def _episode_row(scenario: Scenario, version: str, steps: Sequence[int], records
         "target_y_m": target.y_m,
         "target_yaw_rad": target.yaw_rad,
     }
-    tools = reference_tools(scenario.task)
+    tools = len(tool_steps(scenario.task))
     row.update({f"tool{n}_shape": scenario.placements[n].spec.shape.value for n in range(tools)})
     row["pinch_shape"] = scenario.placements[tools].spec.shape.value
     row["target_shape"] = target.spec.shape.value

@@ -18,7 +18,6 @@ from evaluator.scenarios import (
     encode_list,
     load_list,
     manifest_path,
-    reference_tools,
     update_manifest,
     write_list,
 )
@@ -31,7 +30,7 @@ from rema_data.errors import InputError, IntegrityError
 from rema_data.manifests import read_manifest
 from rema_data.progress import Progress, Silent
 from rema_data.repair import restore
-from rema_data.schema import TASKS, Scenario, check_task
+from rema_data.schema import TASKS, Scenario, check_task, tool_steps
 
 __all__ = ["COUNTS", "ROOT_SEED", "draw_scenario", "generate_list", "picked_list", "write_lists"]
 
@@ -128,7 +127,7 @@ def write_lists(
             entry = _entries(manifest).get(f"{check_task(task)}/{split}")
             if entry is not None and (manifest.parent / entry["file"]).exists():
                 continue
-            if task in keep or (picker is not None and not reference_tools(task)):
+            if task in keep or (picker is not None and not tool_steps(task)):
                 _name_again(manifest, version, task, split)
                 continue
             sink.phase(f"{task}/{split}", count)

@@ -40,8 +40,6 @@ __all__ = [
     "encode_list",
     "load_list",
     "manifest_path",
-    "reference_pinch",
-    "reference_tools",
     "scenario_id",
     "update_manifest",
     "write_list",
@@ -75,21 +73,11 @@ def scenario_id(version: str, scenario: Scenario) -> str:
     return f"{version}/{scenario.task}/{scenario.split}/{scenario.index:05d}"
 
 
-def reference_tools(task: str) -> int:
-    """Number of tools in hand at the last step of ``task``."""
-    return len(tool_steps(task))
-
-
-def reference_pinch(task: str) -> bool:
-    """Whether an object is pinched between two sticks at the last step of ``task``."""
-    return pinch_step(task) is not None
-
-
 def _groups(task: str) -> dict[str, type]:
     """Prefix of the columns, and type, of every object of a row, in the order of the file."""
     groups: dict[str, type] = {f"object{step}": Placement for step in range(len(TASKS[task]))}
-    groups |= {f"tool{tool}": Grip for tool in range(reference_tools(task))}
-    return groups | ({"pinch": Pinch} if reference_pinch(task) else {})
+    groups |= {f"tool{tool}": Grip for tool in range(len(tool_steps(task)))}
+    return groups | ({"pinch": Pinch} if pinch_step(task) is not None else {})
 
 
 def _schema(task: str) -> pa.Schema:

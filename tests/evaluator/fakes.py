@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluator.engines import Job
-from evaluator.scenarios import VERSION, reference_pinch, reference_tools, update_manifest, write_list
+from evaluator.scenarios import VERSION, update_manifest, write_list
 from rema_data import grid
 from rema_data.schema import (
     TASKS,
@@ -37,6 +37,8 @@ from rema_data.schema import (
     Shape,
     Situation,
     StepOutcome,
+    pinch_step,
+    tool_steps,
 )
 
 SIMULATOR = "tests.evaluator.fakes:FakeSimulator"
@@ -171,8 +173,8 @@ def fake_scenario(task: str, index: int, split: str = "test") -> Scenario:
     shape = list(Shape)[index % 3]
     spec = ObjectSpec(shape, 0.1 + index * 1e-6, 0.02, 0.0 if shape is Shape.I else 0.06, 0.03)
     placements = tuple(Placement(spec, index * 1e-5, step * 0.01, 0.1 * step) for step in range(len(TASKS[task])))
-    grips = tuple(Grip(spec, 0.0, 0.1, 0.01, 0.2 * n, 0.03) for n in range(reference_tools(task)))
-    pinch = Pinch(spec, 0.0, 0.0, 0.01, 0.1, 0.2, 0.2) if reference_pinch(task) else None
+    grips = tuple(Grip(spec, 0.0, 0.1, 0.01, 0.2 * n, 0.03) for n in range(len(tool_steps(task))))
+    pinch = Pinch(spec, 0.0, 0.0, 0.01, 0.1, 0.2, 0.2) if pinch_step(task) is not None else None
     return Scenario(task, split, index, placements, grips, pinch)
 
 

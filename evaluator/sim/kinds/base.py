@@ -1,7 +1,7 @@
-"""What every kind of step answers, and what kinds of the same primitive share (``GraspKind``, ``PushKind``).
+"""What every kind of step answers.
 
 A kind is a stateless object; only ``carry_out`` needs PyBullet. One hand acts at the action's place, unless a kind says
-otherwise (``pair.TwoArms``).
+otherwise (``pair.TwoArms``). ``primitives`` has what all grasps, and all pushes, share.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.sim.attempt import CLEAR_M, POLL_EVERY, Attempt, AttemptFailed
+from evaluator.sim.attempt import CLEAR_M, Attempt
 from evaluator.sim.footprints import SIDES, clear_of_target, hand_footprint
 from evaluator.sim.motion import JointPath, line, profile
 from evaluator.sim.parameters import WORLD, WorldParameters
 from evaluator.sim.planar import Rect
 from evaluator.sim.staging import ARMS, HandPose, Part, Pose, Thing, turned
-from rema_data.schema import Failure, Grip, Pinch, Placement, Situation, StepKind
+from rema_data.schema import Grip, Pinch, Placement, Situation, StepKind
 
-__all__ = ["TOOL_HEIGHTS_M", "GraspKind", "Kind", "PushKind"]
+__all__ = ["TOOL_HEIGHTS_M", "Kind"]
 
 Flags = npt.NDArray[np.bool_]
 
@@ -190,20 +190,18 @@ class Kind(ABC):
         """Put one hand at rest where ``path`` begins, at ``low_m``, or above the target and move it down from there."""
         p, situation, (hand,) = attempt.parameters, attempt.situation, attempt.hands
         (x, y, yaw), (opening,) = pose, self.openings(situation, False, p)
-        start = low_m
+        start, down = low_m, None
         if not clear_of_target(situation, self.footprint(situation, p), pose, CLEAR_M):
             start = self.start_height(situation, p.approach_clearance_m)
-        if start <= low_m:
-            hand.arm.reset(path.positions[0], opening)
-            self.take(attempt, pose, start)
-            return
-        fall = profile(start - low_m, p.descend_speed_m_s, attempt.tick_s, p.ramp_share)
-        ends = (x, y, start), (x, y, low_m)
-        down = line(hand.arm.base, *ends, yaw, fall, attempt.tick_s, self.symmetric, p)
-        down.positions[:, 6] += path.positions[0, 6] - down.positions[-1, 6]  # the same turn of joint 7
-        hand.arm.reset(down.positions[0], opening)
+        if start > low_m:
+            fall = profile(start - low_m, p.descend_speed_m_s, attempt.tick_s, p.ramp_share)
+            ends = (x, y, start), (x, y, low_m)
+            down = line(hand.arm.base, *ends, yaw, fall, attempt.tick_s, self.symmetric, p)
+            down.positions[:, 6] += path.positions[0, 6] - down.positions[-1, 6]  # the same turn of joint 7
+        hand.arm.reset((down or path).positions[0], opening)
         self.take(attempt, pose, start)
-        attempt.descend([down])
+        if down is not None:
+            attempt.descend([down])
 
     def take(self, attempt: Attempt, pose: Pose, height_m: float) -> None:  # noqa: B027 - most kinds hold nothing
         """Put into the hand what it holds."""
@@ -241,67 +239,3 @@ class Kind(ABC):
     ) -> Iterator[int]:
         """Grid actions of the privileged reference policy, the best first; ``valid`` is bool (65536,) by grid index."""
         return iter(())
-
-
-class GraspKind(Kind):
-    """A step that lifts the target."""
-
-    measure = "lift_m"
-    closes = True
-
-    def reach_shifts(self, p: WorldParameters) -> tuple[float, ...]:
-        return (0.0,)
-
-    @abstractmethod
-    def success_lift_m(self, p: WorldParameters) -> float:
-        """How high the target has to be."""
-
-    def dropped(self, attempt: Attempt) -> AttemptFailed:
-        """The failure of a target that is not held any more: by how far it was lifted."""
-        lifted = attempt.evidence.lift_m > attempt.parameters.slip_lift_m
-        return AttemptFailed(Failure.SLIPPED if lifted else Failure.NOT_LIFTED)
-
-    def goal(self, p: WorldParameters) -> str:
-        return (
-            f"{p.hold_steps} simulation steps after the lift, the target's centre of mass is at least "
-            f"{self.success_lift_m(p):g} m higher than on the table, and the target is still held"
-        )
-
-    def spawn(self, rng: np.random.Generator, p: WorldParameters) -> tuple[float, float]:
-        x, y = (float(value) for value in rng.uniform(-p.grasp_spawn_half_m, p.grasp_spawn_half_m, 2))
-        return x, y
-
-
-class PushKind(Kind):
-    """A step that moves the target in +x; it starts further to +x, with room behind it."""
-
-    measure = "displacement_m"
-
-    def reach_shifts(self, p: WorldParameters) -> tuple[float, ...]:
-        return 0.0, p.push_distance_m / 2, p.push_distance_m
-
-    def goal(self, p: WorldParameters) -> str:
-        return f"at rest, the target's centre of mass is at least {p.push_success_m:g} m further in +x than before"
-
-    def spawn(self, rng: np.random.Generator, p: WorldParameters) -> tuple[float, float]:
-        x = float(rng.uniform(p.push_spawn_x_min_m, p.push_spawn_x_max_m))
-        return x, float(rng.uniform(-p.push_spawn_half_y_m, p.push_spawn_half_y_m))
-
-    def aim(self, target: Placement, p: WorldParameters = WORLD) -> tuple[float, float]:
-        return target.x_m - p.scripted_push_offset_m, target.y_m
-
-    def settle(self, attempt: Attempt) -> None:
-        """Wait, a bounded number of steps, until the target is at rest."""
-        for _ in range(attempt.parameters.settle_steps // POLL_EVERY):
-            if attempt.world.speed(attempt.target) < attempt.parameters.rest_speed_m_s:
-                return
-            attempt.step(POLL_EVERY)
-
-    def check_moved(self, attempt: Attempt, start_x_m: float) -> None:
-        """Fail the attempt unless the target moved far enough in +x and every tool is still in hand."""
-        moved = attempt.world.pose(attempt.target)[0] - start_x_m
-        attempt.note(displacement_m=moved)
-        if not attempt.tools_held():
-            raise AttemptFailed(Failure.TOOL_LOST)
-        if moved < attempt.parameters.push_success_m:
-            raise AttemptFailed(Failure.TOO_LITTLE if attempt.evidence.contact_steps else Failure.MISSED)

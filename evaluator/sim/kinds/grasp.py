@@ -9,7 +9,8 @@ import numpy as np
 
 from evaluator.sim.attempt import CLEAR_M, POLL_EVERY, Attempt, AttemptFailed, relative
 from evaluator.sim.footprints import finger_footprint
-from evaluator.sim.kinds.base import Flags, GraspKind
+from evaluator.sim.kinds.base import Flags
+from evaluator.sim.kinds.primitives import GraspKind
 from evaluator.sim.motion import line, profile
 from evaluator.sim.parameters import WorldParameters
 from evaluator.sim.planar import Rect, gap

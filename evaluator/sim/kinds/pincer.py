@@ -9,8 +9,9 @@ import numpy as np
 
 from evaluator.sim.attempt import CLEAR_M, CLEAR_TOOL_M, Attempt, AttemptFailed, relative
 from evaluator.sim.footprints import clear_of_target, inner_extents, pair_heights
-from evaluator.sim.kinds.base import TOOL_HEIGHTS_M, Flags, GraspKind
+from evaluator.sim.kinds.base import TOOL_HEIGHTS_M, Flags
 from evaluator.sim.kinds.pair import Squeeze, TwoArms, command, pair_frame, pair_path, sticks_of
+from evaluator.sim.kinds.primitives import GraspKind
 from evaluator.sim.motion import profile
 from evaluator.sim.parameters import WorldParameters
 from evaluator.sim.planar import gap, swept

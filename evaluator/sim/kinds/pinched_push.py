@@ -6,8 +6,9 @@ import numpy as np
 
 from evaluator.sim.attempt import CLEAR_M, POLL_EVERY, Attempt, AttemptFailed, relative
 from evaluator.sim.footprints import clear_of_target, pair_heights
-from evaluator.sim.kinds.base import TOOL_HEIGHTS_M, PushKind
+from evaluator.sim.kinds.base import TOOL_HEIGHTS_M
 from evaluator.sim.kinds.pair import PairPath, Squeeze, TwoArms, pair_frame, pair_path, sticks_of
+from evaluator.sim.kinds.primitives import PushKind
 from evaluator.sim.motion import profile
 from evaluator.sim.parameters import WorldParameters
 from evaluator.sim.planar import Rect

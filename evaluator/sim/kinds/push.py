@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from evaluator.sim.attempt import CLEAR_M, POLL_EVERY, Attempt, AttemptFailed
-from evaluator.sim.kinds.base import PushKind
+from evaluator.sim.kinds.primitives import PushKind
 from evaluator.sim.motion import line, profile
 from evaluator.sim.parameters import WorldParameters
 from evaluator.sim.planar import gap, swept

@@ -13,13 +13,13 @@ from evaluator.cli.main import cli
 from evaluator.engines.child import process_pool
 from evaluator.policy import resolve
 from evaluator.rollout.picks import open_picker
-from evaluator.scenarios import SPLITS, VERSION, load_list, manifest_path, reference_pinch, reference_tools
+from evaluator.scenarios import SPLITS, VERSION, load_list, manifest_path
 from evaluator.scenarios.generation import COUNTS, ROOT_SEED, write_lists
 from evaluator.sim.parameters import WORLD
 from evaluator.sim.spawn import draw_episode, episode_generator
 from rema_data.errors import InputError, IntegrityError, PolicyFailureError
 from rema_data.repair import restore
-from rema_data.schema import TASKS
+from rema_data.schema import TASKS, pinch_step, tool_steps
 
 
 @pytest.fixture
@@ -182,8 +182,8 @@ def test_the_shipped_lists(task: str, split: str) -> None:
     assert len(frozen.scenarios) == COUNTS[split]
     for scenario in frozen.scenarios:
         assert len(scenario.placements) == len(TASKS[task])
-        assert len(scenario.grips) == reference_tools(task)
-        assert (scenario.pinch is not None) == reference_pinch(task)
+        assert len(scenario.grips) == len(tool_steps(task))
+        assert (scenario.pinch is not None) == (pinch_step(task) is not None)
     entry = json.loads(manifest_path(VERSION).read_text())["lists"][f"{task}/{split}"]
     assert entry["seed_domain"] == f"{ROOT_SEED}/{split}"
 
