@@ -212,7 +212,7 @@ def _pictures(run: Run, options: ReportOptions, progress: Progress) -> tuple[lis
         check_policy(run, options.policy, options.checkpoint)
     said: dict[str, Any] = {"gallery_reason": "", "bins": [], "scored": 0}
     try:
-        scenarios = scenario_list(run.header, run.source).scenarios
+        scenarios = scenario_list(run.header).scenarios
     except RemaError as error:
         reason = f"Episodes cannot be played again here: {error.message}."
         return [], {**said, "gallery_reason": reason, "scores_note": reason}
