@@ -102,7 +102,7 @@ def evaluate(
         policy=spec,
         task=task,
         output=Path("runs") / name if output is None else Path(output),
-        checkpoint=weights_of(spec, _path(checkpoint)),
+        checkpoint=weights_of(spec, None if checkpoint is None else Path(checkpoint)),
         device=device,
         protocol=protocol,
         split=split,
@@ -163,10 +163,8 @@ def compare(a: str | Path, b: str | Path) -> Comparison:
 
     Raises
     ------
-    InputError
-        The two do not compare.
-    MissingFileError, IntegrityError
-        As ``read_run``.
+    InputError, MissingFileError, IntegrityError
+        The two do not compare; or as ``read_run``.
 
     Examples
     --------
@@ -253,10 +251,8 @@ def replay(
     ------
     MissingFileError, InputError, IntegrityError
         It is not a finished run, or an argument cannot be used.
-    RunMismatchError
-        The run was played on a scenario list that is not the one here.
-    InfrastructureError
-        Workers cannot be started.
+    RunMismatchError, InfrastructureError
+        The run was played on another scenario list than the one here; or workers cannot be started.
 
     Examples
     --------
@@ -278,7 +274,3 @@ def replay(
         public_key=None if public_key is None else read_public_key(Path(public_key)),
         progress=progress,
     )
-
-
-def _path(path: str | Path | None) -> Path | None:
-    return None if path is None else Path(path)

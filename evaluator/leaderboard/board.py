@@ -1,4 +1,4 @@
-"""The leaderboard: rows in order, and the sentences that belong under them."""
+"""The leaderboard: rows in order, and the remarks below them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Two runs on the same scenarios: the 2x2 table, the paired difference, where they differ, and what cannot be said."""
+"""Two runs on the same scenarios: the 2x2 table, the paired difference, where they differ, and the limits of it."""
 
 from __future__ import annotations
 

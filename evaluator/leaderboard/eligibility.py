@@ -1,4 +1,4 @@
-"""What a run must be to have a rank: the full frozen test list, the protocol in force, nothing lost, no peeking."""
+"""The conditions of a rank: the full frozen test list, the current protocol, nothing lost, not stopped early."""
 
 from __future__ import annotations
 

@@ -136,9 +136,9 @@ def _html(board: Board) -> str:
     parts = [_HTML_HEAD]
     for title, rows in titled_groups(board):
         parts.append(f"<h2>{html.escape(title)}</h2>\n<div><table>")
-        parts.append("<tr>" + "".join(f"<th>{html.escape(name)}</th>" for name in _table_columns()) + "</tr>")
+        parts.append("<tr>" + "".join(f"<th>{html.escape(name)}</th>" for name in _without_title(COLUMNS)) + "</tr>")
         for row in rows:
-            line = [html.escape(cell) for cell in _table_cells(row)]
+            line = [html.escape(cell) for cell in _without_title(cells(row))]
             if row.link:
                 line[0] = f'<a href="{html.escape(row.link)}">{line[0]}</a>'
             body = "".join(f"<td>{cell}</td>" for cell in line)
@@ -170,7 +170,7 @@ p { max-width: 50rem; }
 
 def _latex(board: Board) -> str:
     """Tables for a paper that uses the package booktabs."""
-    columns = _table_columns()
+    columns = _without_title(COLUMNS)
     parts = ["% needs \\usepackage{booktabs}"]
     for title, rows in titled_groups(board):
         parts += [
@@ -181,7 +181,7 @@ def _latex(board: Board) -> str:
             "\\toprule",
             " & ".join(map(_tex, columns)) + r" \\",
             "\\midrule",
-            *(" & ".join(map(_tex, _table_cells(row))) + r" \\" for row in rows),
+            *(" & ".join(map(_tex, _without_title(cells(row)))) + r" \\" for row in rows),
             "\\bottomrule",
             "\\end{tabular}",
             "\\end{table}",
@@ -203,12 +203,8 @@ def _tex(text: str) -> str:
     return "".join(_TEX.get(character, character) for character in text)
 
 
-def _table_columns() -> list[str]:
-    return [name for name in COLUMNS if name not in _IN_TITLE]
-
-
-def _table_cells(row: Row) -> list[str]:
-    return [cell for name, cell in zip(COLUMNS, cells(row), strict=True) if name not in _IN_TITLE]
+def _without_title(line: Sequence[str]) -> list[str]:
+    return [cell for name, cell in zip(COLUMNS, line, strict=True) if name not in _IN_TITLE]
 
 
 _PAIRS = ("ci95", "bounds")

@@ -1,4 +1,4 @@
-"""Submission checks: what a finished run must be to become an entry of the leaderboard."""
+"""Submission checks: the conditions that a finished run must meet."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ class _Replay:
     def check(self, engine: str, workers: int | None, address: str | None) -> None:
         """Statistics and rows, as far as they can be read."""
         run, backend, files = self.run, self.backend, self.run.folder
-        scenarios = scenario_list(run.header, run.source)
+        scenarios = scenario_list(run.header)
         here = call_in_child(backend.fingerprint)
         self.differences = _world_differences(run, here, backend.protocol_hash(run.task, run.protocol))
         if files.table is None or files.table.num_rows != run.header["episodes"]:

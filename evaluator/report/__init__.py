@@ -2,15 +2,13 @@
 
 ::
 
-    breakdown    Run                 ->  success by group and by place
-    content      Run                 ->  remarks, failures, timings, provenance in words
-    selection    Run                 ->  the episodes to show
-    film         episode                     ->  Take: played again from its recorded actions
-    images       Take                        ->  photographs, animation, maps
-    gallery      Take + pictures             ->  Card
-    scores       policy + situations         ->  its maps, and its calibration
-    page         all of this                 ->  HTML
-    writing      run folder                  ->  report.html
+    breakdown    success by group and by place
+    content      remarks, failures, timings, provenance in words
+    selection    the episodes to show
+    gallery      a card for each of them: played again, with pictures from ``evaluator.render``
+    scores       the policy's own maps of scores, and its calibration
+    page         all of this as HTML
+    writing      from a run folder to ``report.html``
 """
 
 from evaluator.report.writing import PAGE_NAME, ReportOptions, WrittenReport, write_report

@@ -1,10 +1,9 @@
-"""What the page says about a run besides its pictures: remarks, failures, funnel, timings, provenance, in words."""
+"""The content of the page besides groups and pictures: remarks, failures, funnel, timings, provenance."""
 
 from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -29,18 +28,6 @@ __all__ = [
     "timings",
 ]
 
-_SEGMENT_COLUMNS = (
-    "segment",
-    "started",
-    "episodes",
-    "engine",
-    "workers",
-    "device",
-    "seconds",
-    "processor",
-    "versions",
-    "commit",
-)
 _UNKNOWN = "not recorded"
 
 
@@ -183,28 +170,26 @@ def provenance(run: Run) -> list[tuple[str, str]]:
     ]
 
 
-def segments(run: Run) -> Mapping[str, Any]:
+def segments(run: Run) -> dict[str, Any]:
     """The processes that computed the run: names of the columns, and a row each."""
     rows = []
     for segment in run.header["segments"]:
         machine, versions, seconds = (segment.get(name) or {} for name in ("machine", "versions", "seconds"))
-        commit = str(segment.get("commit") or _UNKNOWN)[:12] + (", changed" if segment.get("dirty") else "")
-        rows.append(
-            [
-                str(segment.get("number", "")),
-                str(segment.get("started", _UNKNOWN)).replace("T", " "),
-                f"{segment['finished']:,}" if "finished" in segment else "stopped",
-                str(segment.get("engine", _UNKNOWN)),
-                str(segment.get("workers", _UNKNOWN)),
-                str(segment.get("device", _UNKNOWN)),
-                _time(seconds["total"]) if "total" in seconds else _UNKNOWN,
-                f"{machine.get('processor', _UNKNOWN)}, {machine.get('cores', '?')} cores, "
-                f"{machine.get('system', '')} {machine.get('architecture', '')}",
-                ", ".join(f"{name} {number}" for name, number in versions.items()),
-                commit,
-            ]
-        )
-    return {"names": _SEGMENT_COLUMNS, "rows": rows}
+        row = {
+            "segment": segment.get("number", ""),
+            "started": str(segment.get("started", _UNKNOWN)).replace("T", " "),
+            "episodes": f"{segment['finished']:,}" if "finished" in segment else "stopped",
+        }
+        row |= {name: segment.get(name, _UNKNOWN) for name in ("engine", "workers", "device")}
+        row |= {
+            "seconds": _time(seconds["total"]) if "total" in seconds else _UNKNOWN,
+            "processor": f"{machine.get('processor', _UNKNOWN)}, {machine.get('cores', '?')} cores, "
+            f"{machine.get('system', '')} {machine.get('architecture', '')}",
+            "versions": ", ".join(f"{name} {number}" for name, number in versions.items()),
+            "commit": str(segment.get("commit") or _UNKNOWN)[:12] + (", changed" if segment.get("dirty") else ""),
+        }
+        rows.append(row)
+    return {"names": list(rows[0]) if rows else [], "rows": [row.values() for row in rows]}
 
 
 def criteria(run: Run) -> list[str]:

@@ -137,7 +137,7 @@ def _facts(row: Row, take: Take) -> list[tuple[str, str]]:
 
 
 def with_scores(card: Card, scored: Scored) -> Card:
-    """The card with what the policy thought of the place."""
+    """The card with the map of the policy's scores."""
     assert card.take is not None
     words = f"{scored.chosen:.3f} for the chosen action, {np.nanmax(scored.best):.3f} is the highest of the map"
     return replace(
@@ -150,12 +150,9 @@ def fit(cards: Sequence[Card], room: int) -> list[Card]:
 
     Photographs come before maps and maps before animations, and the first cards of every label before the second ones.
     """
-    wanted: list[tuple[int, int, int, str, int]] = []
-    for position, card in enumerate(cards):
-        for order, name, size in _sizes(card):
-            wanted.append((order, card.rank, position, name, size))
+    pictures = ((order, card.rank, n, name, size) for n, card in enumerate(cards) for order, name, size in _sizes(card))
     kept: set[tuple[int, str]] = set()
-    for _, _, position, name, size in sorted(wanted):
+    for _, _, position, name, size in sorted(pictures):
         if size + MARKUP <= room:
             room -= size + MARKUP
             kept.add((position, name))

@@ -1,4 +1,4 @@
-"""What the policy of a run thought of its actions: its scores, asked for again, and how they turned out.
+"""The scores that the policy of a run gives its actions, asked for again, and its calibration.
 
 A run records actions, not scores. A policy that has a method ``maps(observations)``, as the learned baselines do,
 can be asked again: in a process of its own, in the sandbox that it was evaluated in.

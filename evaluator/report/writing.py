@@ -1,4 +1,4 @@
-"""From a run folder to a page: reads, plays some episodes again, asks the policy where it was named, and writes."""
+"""From a run folder to a page: read, play some episodes again, ask the policy where it is named, write."""
 
 from __future__ import annotations
 
@@ -52,14 +52,10 @@ class ReportOptions:
         Of the page: pictures are left out, animations first, where it would be larger.
     policy : PolicySpec or None
         The policy of the run, to be asked for its scores.
-    checkpoint : Path or None
-        Its weights.
-    device : str
-        Handed to the policy.
+    checkpoint, device, sandbox
+        As for ``rema evaluate``.
     scored : int
         Episodes whose scores are compared with their outcomes.
-    sandbox : str or None
-        Wrapper of the policy's process, as for ``rema evaluate``.
     """
 
     per_label: int = 3
@@ -212,7 +208,7 @@ def _pictures(run: Run, options: ReportOptions, progress: Progress) -> tuple[lis
         check_policy(run, options.policy, options.checkpoint)
     said: dict[str, Any] = {"gallery_reason": "", "bins": [], "scored": 0}
     try:
-        scenarios = scenario_list(run.header, run.source).scenarios
+        scenarios = scenario_list(run.header).scenarios
     except RemaError as error:
         reason = f"Episodes cannot be played again here: {error.message}."
         return [], {**said, "gallery_reason": reason, "scores_note": reason}

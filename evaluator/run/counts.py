@@ -1,4 +1,4 @@
-"""The counts of a run, which follow from its rows: counted at its end, and again by every reader."""
+"""The counts of a run, which follow from its rows; every reader counts them again."""
 
 from __future__ import annotations
 

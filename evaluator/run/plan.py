@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any, TypeVar
 
 from evaluator.engines import Job, JobBatch
@@ -55,13 +54,13 @@ class Plan:
         return situations
 
 
-def scenario_list(header: Mapping[str, Any], source: Path) -> ScenarioList:
-    """The list on which the run in the folder ``source`` was played; a RunMismatchError if it is not the one here."""
+def scenario_list(header: Mapping[str, Any]) -> ScenarioList:
+    """The list on which a run was played; a RunMismatchError if it is not the one here."""
     identity = header["identity"]
     scenarios, recorded = load_list(identity["task"], identity["split"]), identity["scenarios_hash"]
     if scenarios.sha256 != recorded or header["episodes"] > len(scenarios.scenarios):
         raise RunMismatchError(
-            f"{source} was played on another scenario list than the one here: {recorded}, here {scenarios.sha256}",
+            f"the run was played on another scenario list than the one here: {recorded}, here {scenarios.sha256}",
             hint="use the version of rema that made it (`versions` in run.json)",
             field="scenarios_hash",
             recorded=recorded,

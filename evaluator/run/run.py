@@ -1,4 +1,4 @@
-"""One run, read from its folder or from its entry: the only reader that tables, comparisons, pages and replays use."""
+"""One run, from its folder or its submission file: what tables, comparisons, pages and replays read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run is asked to do, what it reports while it runs, and what it returns."""
+"""The configuration and the result of a run."""
 
 from __future__ import annotations
 

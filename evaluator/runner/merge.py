@@ -67,7 +67,7 @@ def merge_runs(shards: Sequence[Path], output: Path) -> EvaluationResult:
         _check_identity(folders)
         first = folders[0].header
         identity, episodes = first["identity"], first["episodes"]
-        scenarios = scenario_list(first, folders[0].path)
+        scenarios = scenario_list(first)
         plan = Plan(scenarios.scenarios[:episodes], identity["task"], identity["protocol"])
         _check_disjoint(folders)
         with _staged(output) as staging, RunFolder.locked(staging, identity, episodes) as whole:

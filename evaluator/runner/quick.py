@@ -17,7 +17,6 @@ from evaluator.protocol import FIRST_LOOK
 from evaluator.rollout.backend import Backend, default_backend
 from evaluator.run.header import RUN_FILE, read_header
 from evaluator.run.reading import read_run
-from evaluator.run.run import Run
 from evaluator.run.seal import SUMMARY_FILE
 from evaluator.runner.config import EvaluationConfig, EvaluationResult
 from evaluator.runner.run import run_evaluation
@@ -61,26 +60,6 @@ def quick_evaluation(
                 break
         return {"against": reference.policy, **test.result().to_dict()}
 
-    _check_reference(reference, config, backend)
-    recorded = read_header(config.output)[0]["episodes"] if (config.output / RUN_FILE).exists() else 0
-    if (config.output / SUMMARY_FILE).exists() and not read_run(config.output).stopped_early:
-        raise InputError(
-            f"{config.output} holds a run that is not a quick look",
-            hint=f"compare the two: rema compare {config.output} {against}; or choose another folder with --output",
-            path=str(config.output),
-        )
-    last = min(config.episodes, max(len(theirs.success), recorded))  # beyond that there is nothing to compare with
-    for episodes in _lengths(min(max(FIRST_LOOK, recorded), last), last):
-        result = run_evaluation(
-            replace(config, episodes=episodes, audit_share=0.0), progress, backend=backend, look=look
-        )
-        if result.summary["stopped_early"]["decided_at"] is not None:
-            break
-    return result
-
-
-def _check_reference(reference: Run, config: EvaluationConfig, backend: Backend) -> None:
-    """Raise before anything is played where the two runs will not compare."""
     mine = {
         "task": config.task,
         "split": config.split,
@@ -96,6 +75,21 @@ def _check_reference(reference: Run, config: EvaluationConfig, backend: Backend)
                 hint="give a run of the same task, split and protocol, made with this version",
                 field=field,
             )
+    recorded = read_header(config.output)[0]["episodes"] if (config.output / RUN_FILE).exists() else 0
+    if (config.output / SUMMARY_FILE).exists() and not read_run(config.output).stopped_early:
+        raise InputError(
+            f"{config.output} holds a run that is not a quick look",
+            hint=f"compare the two: rema compare {config.output} {against}; or choose another folder with --output",
+            path=str(config.output),
+        )
+    last = min(config.episodes, max(len(theirs.success), recorded))  # beyond that there is nothing to compare with
+    for episodes in _lengths(min(max(FIRST_LOOK, recorded), last), last):
+        result = run_evaluation(
+            replace(config, episodes=episodes, audit_share=0.0), progress, backend=backend, look=look
+        )
+        if result.summary["stopped_early"]["decided_at"] is not None:
+            break
+    return result
 
 
 def _lengths(first: int, last: int) -> Iterator[int]:

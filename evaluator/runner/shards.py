@@ -1,4 +1,4 @@
-"""Which scenarios one of several runs plays, that together are one evaluation: ``--shard 2/8``."""
+"""The scenarios of one of several runs that together are one evaluation: ``--shard 2/8``."""
 
 from __future__ import annotations
 
