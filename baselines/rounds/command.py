@@ -88,7 +88,7 @@ def rounds(
 
     def show(stage: Stage) -> None:
         how = "was there" if stage.already else f"done in {stage.seconds:.0f} s"
-        line(f"round {stage.round}: {stage.what} {how}")
+        progress.result(f"round {stage.round}: {stage.what} {how}")
 
     recursion = load_recursion(plan)
     with StderrProgress() as progress:

@@ -115,6 +115,13 @@ class StderrProgress(logging.Handler):
         """A message on a line of its own, above the bars."""
         self._console.print(output.plain(text), soft_wrap=True)
 
+    def result(self, text: str) -> None:
+        """A line of the result while work goes on: on stdout, or above the bars where both are on a terminal."""
+        if self._live and output.console().is_terminal:
+            self.note(text)
+        else:
+            output.line(text)
+
     def _end_phase(self) -> None:
         if self._name and not self._live:
             self._write_line()

@@ -71,4 +71,5 @@ def scenarios(
     counts = {"test": test_count, "val": val_count}
     drawn = tasks or tuple(task for task in TASKS if task not in keep)
     with StderrProgress() as progress, process_pool(processes) as pool, opened as chosen:
-        line(str(write_lists(version, pool, drawn, counts, progress=progress, picker=chosen, keep=keep)))
+        manifest = write_lists(version, pool, drawn, counts, progress=progress, picker=chosen, keep=keep)
+    line(str(manifest))

@@ -47,6 +47,26 @@ def test_on_a_terminal_it_is_beside_the_bar(
     assert "loss 0.525" in capsys.readouterr().err
 
 
+def test_a_result_is_on_stdout(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Even where the bars are on a terminal and stdout is a pipe; between bars where both are a terminal."""
+    make = output.console
+    with StderrProgress() as progress:
+        progress.result("round 1: done")
+    assert capsys.readouterr() == ("round 1: done\n", "")
+    terminal = Console(file=sys.stderr, force_terminal=True, width=120)
+    monkeypatch.setattr(output, "console", lambda err=False: terminal if err else make())
+    with StderrProgress() as progress:
+        progress.phase("train", 4)
+        progress.result("round 2: done")
+    assert capsys.readouterr().out == "round 2: done\n"
+    monkeypatch.setattr(output, "console", lambda err=False: terminal)
+    with StderrProgress() as progress:
+        progress.phase("train", 4)
+        progress.result("round 3: done")
+    printed = capsys.readouterr()
+    assert "round 3: done" in printed.err and printed.out == ""
+
+
 def test_a_phase_in_bytes(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     seconds = iter(range(0, 100, 5))
     monkeypatch.setattr(module.time, "monotonic", lambda: float(next(seconds)))
