@@ -75,23 +75,27 @@ def purpose(room: str) -> str:
     place = ROOT / room.replace(".", "/")
     file = place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
     text = " ".join((ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or "").split("\n\n")[0].split())
-    return text.partition(". ")[0].rstrip(".")
+    return text.partition(". ")[0].rstrip(".:").replace("``", "`")
+
+
+def drawing(imports: Mapping[str, set[str]]) -> str:
+    """The rooms and their arrows, in the language of Mermaid."""
+    lines = ["```mermaid", "flowchart BT"]
+    lines += [f'    {room.replace(".", "_")}["{room}"]' for room in imports]
+    for room, targets in reduced(imports).items():
+        lines += [f"    {room.replace('.', '_')} --> {target.replace('.', '_')}" for target in sorted(targets)]
+    return "\n".join([*lines, "```"])
 
 
 def section() -> str:
     """The drawing and the table."""
     imports = room_imports()
-    lines = ["```mermaid", "flowchart BT"]
-    lines += [f'    {room.replace(".", "_")}["{room}"]' for room in imports]
-    for room, targets in reduced(imports).items():
-        lines += [f"    {room.replace('.', '_')} --> {target.replace('.', '_')}" for target in sorted(targets)]
-    lines.append("```")
     rows = []
     for room in imports:
         files = files_of(room)
         count = sum(len(file.read_text(encoding="utf-8").splitlines()) for file in files)
         rows.append([f"`{room}`", str(len(files)), f"{count:,}", purpose(room)])
-    return "\n".join(lines) + "\n\n" + markdown_table(["room", "modules", "lines", "what it holds"], rows)
+    return drawing(imports) + "\n\n" + markdown_table(["room", "modules", "lines", "what it holds"], rows)
 
 
 def main() -> None:

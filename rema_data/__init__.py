@@ -1,4 +1,4 @@
-"""The ReMa dataset: records, grid and errors shared by the world, the judge and the baselines.
+"""The ReMa dataset: records, grid and errors shared by the world, the evaluator and the baselines.
 
 ::
 
