@@ -16,7 +16,7 @@ from pathlib import Path
 from baselines.rounds.plan import BlockPlan, CollectionPlan, PolicyUse
 from baselines.rounds.play import BehaviourPolicies, Player
 from baselines.rounds.work import Chunk, encoded
-from evaluator.engines import Engine, default_workers, engine_type, make_engine, worker_count
+from evaluator.engines import Engine, default_workers, engine_type, make_engine
 from evaluator.runner import Backend, default_backend
 from rema_data.progress import Progress, Silent
 from rema_data.schema import Episode
@@ -77,7 +77,7 @@ def estimate(
         for kind, block in kinds.items():
             player = Player(plan.seed, backend, policies.of)
             rates[kind] = _measure(player, running, block, Path(folder), progress)
-    count = worker_count(engine, workers, address=address)
+    count = make_engine(engine, workers, address=address).workers
     place = engine_type(engine).place
     if place == "here":
         count = 0

@@ -1,7 +1,7 @@
 """Engines: where simulation jobs run: ``inline`` in this process, ``process`` in workers of it, ``ray`` in a cluster.
 
 Read in this order: ``base`` (the contract), ``registry`` (engines by name), ``inline``, ``process``, ``child`` and
-``worker`` (the two ends of a pipe), ``ray`` and ``ray_worker`` (the two ends of a cluster).
+``worker`` (the two ends of a pipe), ``ray``.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from evaluator.engines.base import (
     StepSimulator,
     default_workers,
 )
-from evaluator.engines.registry import check_engine, engine_names, engine_type, make_engine, worker_count
+from evaluator.engines.registry import check_engine, engine_names, engine_type, make_engine
 
 __all__ = [
     "FINGERPRINT",
@@ -37,5 +37,4 @@ __all__ = [
     "engine_names",
     "engine_type",
     "make_engine",
-    "worker_count",
 ]

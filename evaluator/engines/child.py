@@ -14,11 +14,10 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
-from evaluator.engines.signals import signal_name
-from evaluator.engines.worker import RAISED, VALUE, die_with
+from evaluator.engines.worker import VALUE, die_with
 from rema_data.errors import InfrastructureError
 
-__all__ = ["Child", "call_in_child", "process_pool"]
+__all__ = ["Child", "call_in_child", "process_pool", "signal_name"]
 
 THREAD_CAPS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 _TAIL_BYTES = 2000
@@ -42,7 +41,7 @@ class Child:
 
     def __init__(self, mode: str, target: str) -> None:
         ours, theirs = socket.socketpair()
-        self._log = tempfile.TemporaryFile()  # noqa: SIM115 - closed by close_log
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115 - closed by stop
         environment = {
             **os.environ,
             **dict.fromkeys(THREAD_CAPS, "1"),
@@ -63,17 +62,14 @@ class Child:
             )
         self.channel = Connection(ours.detach())
 
-    def last_words(self) -> str:
-        """Exit status and the end of what the child wrote to standard error, after its end."""
-        self._log.seek(0, os.SEEK_END)
-        self._log.seek(max(0, self._log.tell() - _TAIL_BYTES))
-        said = self._log.read().decode(errors="replace").strip()
-        status = self.process.returncode
-        ending = f"killed by {signal_name(-status)}" if status is not None and status < 0 else f"exit {status}"
-        return f"{ending}\n{said}" if said else ending
+    def stop(self, grace_s: float = 0.0) -> str:
+        """Close the socket, wait ``grace_s`` for the child to leave, then kill its whole group and reap it.
 
-    def stop(self, grace_s: float = 0.0) -> None:
-        """Close the socket, wait ``grace_s`` for the child to leave, then kill its whole group and reap it."""
+        Returns
+        -------
+        str
+            Exit status, and the end of what the child wrote to standard error.
+        """
         self.channel.close()
         if grace_s:
             with suppress(subprocess.TimeoutExpired):
@@ -82,11 +78,12 @@ class Child:
         if self.process.returncode is None:
             with suppress(ProcessLookupError, PermissionError):
                 os.killpg(self.process.pid, signal.SIGKILL)
-        self.process.wait()
-
-    def close_log(self) -> None:
-        """Drop what the child wrote."""
-        self._log.close()
+        status = self.process.wait()
+        with self._log as log:
+            log.seek(max(0, log.seek(0, os.SEEK_END) - _TAIL_BYTES))
+            printed = log.read().decode(errors="replace").strip()
+        how = f"killed by {signal_name(-status)}" if status < 0 else f"exit {status}"
+        return f"{how}\n{printed}" if printed else how
 
 
 def call_in_child(target: str, timeout_s: float = 120.0) -> Any:
@@ -103,15 +100,13 @@ def call_in_child(target: str, timeout_s: float = 120.0) -> Any:
         if child.channel.poll(timeout_s):
             with suppress(EOFError, OSError):
                 message = child.channel.recv()
-        child.stop(grace_s=0.0 if not message else 1.0)
-        if message and message[0] == VALUE:
-            return message[1]
-        reason = message[1] if message and message[0] == RAISED else child.last_words()
     finally:
-        child.stop()
-        child.close_log()
+        end = child.stop(grace_s=1.0 if message else 0.0)
+    if message and message[0] == VALUE:
+        return message[1]
+    reason = message[1] if message else end
     raise InfrastructureError(
-        f"{target} did not answer in a process of its own: {reason.strip().splitlines()[-1]}",
+        f"{target} did not answer in a separate process: {reason.strip().splitlines()[-1]}",
         hint="check the installation: pip install --force-reinstall rema",
         target=target,
         detail=reason,
@@ -122,3 +117,12 @@ def process_pool(workers: int) -> ProcessPoolExecutor:
     """Fresh interpreters for Python calls, which end with this process."""
     spawn = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(workers, mp_context=spawn, initializer=die_with, initargs=(os.getpid(),))
+
+
+def signal_name(number: int) -> str:
+    """Name of a signal: ``SIGKILL``, or ``SIGRTMIN+6`` for one of the many that Python has no name for."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        first = getattr(signal, "SIGRTMIN", None)
+        return f"signal {number}" if first is None or number < first else f"SIGRTMIN+{number - first}"

@@ -22,36 +22,32 @@ ATTEMPTS = 2
 _LOW_WATER = 5
 """A worker is given its next batch when this many jobs are left, so that it never waits for its parent."""
 _FAILED_STARTS = 3
-"""As many workers in a row that die before they are ready mean that none will be."""
+"""After so many workers in a row that died before they were ready, no more are started."""
 
 
-class _Worker:
-    """One seat: a child and the jobs it was given, in the order in which it runs them."""
+class _Worker(Child):
+    """A child and the jobs it was given, in the order in which it runs them."""
 
     def __init__(self, name: str, factory: str) -> None:
+        super().__init__("serve", factory)
         self.name = name
-        self.child = Child("serve", factory)
         self.jobs: deque[Job] = deque()
-        self.ready = False
-        self.alone = False
-        self.retiring = False
-        self.served = 0
-        self.start_bytes = 0
+        self.ready = self.alone = self.retiring = False
+        self.served = self.start_bytes = 0
         self.raised = ""
         self.heard = time.monotonic()
 
-    def give(self, jobs: Iterable[Job], alone: bool = False) -> None:
+    def give(self, batch: JobBatch, alone: bool) -> None:
         if not self.jobs:
             self.heard = time.monotonic()
-        batch = tuple(jobs)
         self.jobs.extend(batch)
         self.alone = alone
         with suppress(OSError):  # a worker that died a moment ago: the supervisor is about to read its end
-            self.child.channel.send(batch)
+            self.channel.send(batch)
 
     def resident_bytes(self) -> int:
         try:
-            return int(psutil.Process(self.child.process.pid).memory_info().rss)
+            return int(psutil.Process(self.process.pid).memory_info().rss)
         except psutil.Error:
             return 0
 
@@ -119,7 +115,7 @@ class ProcessEngine:
                 results = self._collect()
                 if results:
                     yield tuple(results)
-        except BaseException:  # Ctrl-C and an abandoned iterator included: what runs is of no use to anybody
+        except BaseException:  # Ctrl-C and an abandoned iterator included: nothing needs what still runs
             self._stop_all(grace_s=0.0)
             raise
 
@@ -129,14 +125,10 @@ class ProcessEngine:
 
     def _stop_all(self, grace_s: float) -> None:
         for worker in self._seats.values():
-            worker.child.channel.close()  # all leave at the same time
+            worker.channel.close()  # all leave at the same time
         for worker in self._seats.values():
-            worker.child.stop(0.0 if worker.jobs else grace_s)
-            worker.child.close_log()
+            worker.stop(0.0 if worker.jobs else grace_s)
         self._seats.clear()
-
-    def _next_batch(self, source: Iterator[JobBatch]) -> JobBatch | None:
-        return self._returned.popleft() if self._returned else next(source, None)
 
     def _dispatch(self, source: Iterator[JobBatch]) -> bool:
         """Fill the seats and give work to who has little; whether anything is under way."""
@@ -145,48 +137,46 @@ class ProcessEngine:
             if worker is not None and (worker.retiring or worker.alone or len(worker.jobs) >= _LOW_WATER):
                 continue
             # A suspect runs first and alone, in a worker that has done nothing else.
-            if self._suspects and (worker is None or not (worker.served or worker.jobs)):
-                worker = worker or self._start(name)
-                worker.give((self._suspects.popleft(),), alone=True)
-                continue
-            batch = self._next_batch(source)
+            alone = bool(self._suspects) and (worker is None or not (worker.served or worker.jobs))
+            batch: JobBatch | None
+            if alone:
+                batch = (self._suspects.popleft(),)
+            else:
+                batch = self._returned.popleft() if self._returned else next(source, None)
             if batch:
-                (worker or self._start(name)).give(batch)
+                if worker is None:
+                    worker = self._seats[name] = _Worker(name, self._factory)
+                worker.give(batch, alone)
         if self._suspects and not any(worker.jobs for worker in self._seats.values()):
-            self._retire(next(iter(self._seats.values())))  # idle and used: make room for a fresh one
+            self._remove(next(iter(self._seats.values())), grace_s=1.0)  # idle and used: make room for a fresh one
             return self._dispatch(source)
         return any(worker.jobs for worker in self._seats.values())
 
-    def _start(self, name: str) -> _Worker:
-        worker = self._seats[name] = _Worker(name, self._factory)
-        return worker
-
-    def _retire(self, worker: _Worker) -> None:
+    def _remove(self, worker: _Worker, grace_s: float = 0.0) -> str:
         del self._seats[worker.name]
-        worker.child.stop(grace_s=1.0)
-        worker.child.close_log()
         self.replaced += 1
+        return worker.stop(grace_s)
 
     def _collect(self) -> list[JobResult]:
         """Wait for messages, deaths or a deadline; results of everything that can be read at once."""
         results: list[JobResult] = []
         busy = [worker for worker in self._seats.values() if worker.jobs]
         deadline = min(worker.heard for worker in busy) + self._limit_s
-        by_channel = {worker.child.channel: worker for worker in self._seats.values()}
+        by_channel = {worker.channel: worker for worker in self._seats.values()}
         for channel in wait(list(by_channel), max(0.0, deadline - time.monotonic())):
             self._read(by_channel[channel], results)  # type: ignore[index]
         now = time.monotonic()
         for worker in list(self._seats.values()):
             if worker.jobs and now - worker.heard > self._limit_s:
-                self._bury(worker, results, "hung", f"no sign of life for {self._limit_s:g} s")
+                self._lose(worker, results, "hung", f"no sign of life for {self._limit_s:g} s")
             elif not worker.jobs and worker.retiring:
-                self._retire(worker)
+                self._remove(worker, grace_s=1.0)
         return results
 
     def _read(self, worker: _Worker, results: list[JobResult]) -> None:
         try:
-            while worker.child.channel.poll(0):
-                message = worker.child.channel.recv()
+            while worker.channel.poll(0):
+                message = worker.channel.recv()
                 worker.heard = time.monotonic()
                 if message[0] == DONE:
                     self._finish(worker, message[1], message[2], message[3], results)
@@ -197,7 +187,7 @@ class ProcessEngine:
                 elif message[0] == RAISED:
                     worker.raised = message[1]
         except (EOFError, OSError):
-            self._bury(worker, results, "raised" if worker.raised else "died", worker.raised)
+            self._lose(worker, results, "raised" if worker.raised else "died", worker.raised)
 
     def _finish(self, worker: _Worker, key: int, outcome: object, seconds: float, results: list[JobResult]) -> None:
         worker.jobs.popleft()
@@ -208,14 +198,11 @@ class ProcessEngine:
             worker.alone = False
             worker.retiring |= worker.resident_bytes() - worker.start_bytes > self._growth
 
-    def _bury(self, worker: _Worker, results: list[JobResult], reason: str, detail: str) -> None:
-        """Reap a dead or hung worker, hand its jobs on, and decide about the one it died in."""
-        del self._seats[worker.name]
+    def _lose(self, worker: _Worker, results: list[JobResult], reason: str, detail: str) -> None:
+        """Remove a dead or hung worker, hand its jobs on, and decide about the one it died in."""
         seconds = time.monotonic() - worker.heard
-        worker.child.stop()
-        detail = detail or worker.child.last_words()
-        worker.child.close_log()
-        self.replaced += 1
+        end = self._remove(worker)
+        detail = detail or end
         if not worker.ready:
             self._failed_starts += 1
             if self._failed_starts >= _FAILED_STARTS:
@@ -226,16 +213,13 @@ class ProcessEngine:
                 )
             if worker.alone:
                 self._suspects.extend(worker.jobs)
-            elif worker.jobs:
-                self._returned.appendleft(tuple(worker.jobs))
-            return
-        if not worker.jobs:
-            return
-        job = worker.jobs.popleft()
-        deaths = self._deaths[job.key] = self._deaths.get(job.key, 0) + 1
-        if deaths >= ATTEMPTS:
-            results.append(JobResult(job.key, InfraError(reason, detail), seconds, worker.name, deaths))
-        else:
-            self._suspects.append(job)
+                worker.jobs.clear()
+        elif worker.jobs:
+            job = worker.jobs.popleft()
+            deaths = self._deaths[job.key] = self._deaths.get(job.key, 0) + 1
+            if deaths >= ATTEMPTS:
+                results.append(JobResult(job.key, InfraError(reason, detail), seconds, worker.name, deaths))
+            else:
+                self._suspects.append(job)
         if worker.jobs:
             self._returned.appendleft(tuple(worker.jobs))

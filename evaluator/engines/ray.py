@@ -1,7 +1,7 @@
 """Many machines: the batches of a run through an existing Ray cluster, by actors that hold one simulator each.
 
-A simulator that dies is replaced on its machine and counted there as the process engine counts (``ray_worker``). This
-module decides what happens when a machine, or the actor on it, goes away.
+A simulator that dies is replaced on its machine, by the process engine in its actor. ``RayEngine`` decides what happens
+when a machine, or the actor on it, goes away.
 """
 
 from __future__ import annotations
@@ -20,8 +20,7 @@ from typing import Any
 
 from evaluator.engines.base import FINGERPRINT, SIMULATOR, BatchResult, InfraError, JobBatch, JobResult
 from evaluator.engines.child import call_in_child
-from evaluator.engines.process import ATTEMPTS
-from evaluator.engines.ray_worker import RayWorker
+from evaluator.engines.process import ATTEMPTS, ProcessEngine
 from rema_data.errors import InfrastructureError, InputError, RemaError
 
 __all__ = ["ADDRESS", "RayEngine"]
@@ -38,7 +37,22 @@ _START_S = 600.0
 _FAILED_STARTS = 3
 """As many actors in a row that are lost before they are ready, while none is, mean that none will be."""
 _RETRY_S = 5.0
-_KNOCK_S = 10.0
+_CONNECT_S = 10.0
+
+
+class RayWorker:
+    """An actor: the parent of one simulation process, which may crash, hang or leak. Ray is not imported for it."""
+
+    def __init__(self, factory: str, episode_limit_s: float) -> None:
+        self._engine = ProcessEngine(factory, 1, episode_limit_s=episode_limit_s)
+
+    def begin(self, same: str | None) -> Any:
+        """Value of the call that ``same`` names, on this machine: the actor is there once this has come back."""
+        return None if same is None else call_in_child(same)
+
+    def run(self, batch: JobBatch) -> BatchResult:
+        """Results of all jobs of a batch."""
+        return tuple(result for part in self._engine.map((batch,)) for result in part)
 
 
 @dataclasses.dataclass(slots=True, eq=False)
@@ -145,7 +159,7 @@ class RayEngine:
                 results = self._collect()
                 if results:
                     yield tuple(results)
-        except BaseException:  # Ctrl-C and an abandoned iterator included: what runs is of no use to anybody
+        except BaseException:  # Ctrl-C and an abandoned iterator included: nothing needs what still runs
             self._stop_all()
             raise
 
@@ -166,7 +180,7 @@ class RayEngine:
     def _join(self, address: str) -> None:
         stop = signal.getsignal(signal.SIGTERM)
         try:
-            _knock(address)
+            _check_reachable(address)
             self._ray.init(address=address, log_to_driver=False, logging_level="WARNING")
         except (OSError, ValueError, RuntimeError, self._ray.exceptions.RayError) as error:
             raise InputError(
@@ -181,8 +195,8 @@ class RayEngine:
         self._ours = True
 
     def _stop_all(self) -> None:
-        while self._seats:
-            self._stop(self._seats[-1])
+        for seat in tuple(self._seats):
+            self._stop(seat)
 
     def _stop(self, seat: _Seat) -> None:
         self._seats.remove(seat)
@@ -286,11 +300,11 @@ class RayEngine:
         return lost
 
 
-def _knock(address: str) -> None:
+def _check_reachable(address: str) -> None:
     """Raise an OSError where nothing listens at a HOST:PORT: Ray itself would try for minutes."""
     host, colon, port = address.rpartition("://")[2].rpartition(":")
     if colon and port.isdigit():
-        socket.create_connection((host.strip("[]"), int(port)), _KNOCK_S).close()
+        socket.create_connection((host.strip("[]"), int(port)), _CONNECT_S).close()
 
 
 def _cannot_simulate(cause: BaseException) -> InfrastructureError:

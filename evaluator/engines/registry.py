@@ -10,7 +10,7 @@ from rema_data.errors import InputError
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-__all__ = ["check_engine", "engine_names", "engine_type", "make_engine", "worker_count"]
+__all__ = ["check_engine", "engine_names", "engine_type", "make_engine"]
 
 GROUP = "rema.engines"
 
@@ -83,16 +83,3 @@ def make_engine(
         As ``check_engine``; or a library that the engine needs is not installed.
     """
     return check_engine(name, workers, address)(factory, workers, address=address)
-
-
-def worker_count(name: str, workers: int | None = None, *, address: str | None = None) -> int:
-    """How many simulators an engine runs at a time.
-
-    A cluster is asked where ``workers`` is not given, and then stays connected.
-
-    Raises
-    ------
-    InputError
-        As ``make_engine``; or there is no cluster at the address.
-    """
-    return make_engine(name, workers, address=address).workers

@@ -21,8 +21,16 @@ from typing import Any
 import numpy as np
 
 from evaluator.policy.contract import ObservationBatch
-from evaluator.policy.wire import MAX_HEADER, REPLIES, frame_parts, read_batch, read_frame, situations_from_header
-from rema_data import grid
+from evaluator.policy.faults import PolicyFault, check_maps, form_fault
+from evaluator.policy.wire import (
+    MAX_HEADER,
+    REPLIES,
+    Frame,
+    frame_parts,
+    read_batch,
+    read_frame,
+    situations_from_header,
+)
 
 _TRACEBACK_LINES = 12
 _MESSAGE_CHARACTERS = 2000
@@ -32,8 +40,6 @@ _ANY_SIZE = 1 << 40
 
 __all__ = ["serve"]
 
-Question = tuple[dict[str, Any], dict[str, Any]]
-
 
 class CannotLoad(Exception):
     """Why the policy cannot be used, in words for its author."""
@@ -42,14 +48,10 @@ class CannotLoad(Exception):
 def serve(request_fd: int, reply_fd: int, report: dict[str, Any]) -> None:
     """Report the sandbox, load the policy that the first question names, and answer the other questions.
 
-    Parameters
-    ----------
-    request_fd, reply_fd : int
-    report : dict
-        What the sandbox restricts: sent before anything of the policy is read, so that the policy cannot change it.
+    The report is sent before anything of the policy is read, so that the policy cannot change it.
     """
     _reply(reply_fd, {"op": "confined", **report})
-    questions: queue.Queue[Question] = queue.Queue()
+    questions: queue.Queue[Frame] = queue.Queue()
     threading.Thread(target=_listen, args=(request_fd, questions), daemon=True).start()
 
     order, _ = questions.get()
@@ -68,7 +70,7 @@ def serve(request_fd: int, reply_fd: int, report: dict[str, Any]) -> None:
         _reply(reply_fd, {"op": REPLIES[header["op"]], "number": header["number"], **reply}, answer)
 
 
-def _listen(request_fd: int, questions: queue.Queue[Question]) -> None:
+def _listen(request_fd: int, questions: queue.Queue[Frame]) -> None:
     """Queue every question; when the evaluator has ended, end the whole process group."""
     try:
         with io.BufferedReader(io.FileIO(request_fd), 1 << 20) as stream:
@@ -127,10 +129,9 @@ def _answer(
             answer = np.asarray(policy.act(batch))
     except BaseException as error:
         return {"ok": False, "reason": "exception", **_describe(error, own_folder)}, None
-    wrong = (_wrong_maps if header["op"] == "maps" else _wrong_actions)(answer, len(batch))
-    if wrong is not None:
-        reason, detail = wrong
-        return {"ok": False, "reason": reason, "message": detail, "where": ""}, None
+    fault = (check_maps if header["op"] == "maps" else form_fault)(answer, len(batch))
+    if isinstance(fault, PolicyFault):
+        return {"ok": False, "reason": fault.reason, "message": fault.detail, "where": ""}, None
     return {"ok": True}, answer
 
 
@@ -138,22 +139,6 @@ def _maps_of(policy: Any) -> Any:
     if not callable(getattr(policy, "maps", None)):
         raise CannotLoad(f"class {type(policy).__name__} has no method maps(observations)")
     return policy.maps
-
-
-def _wrong_actions(answer: np.ndarray[Any, Any], count: int) -> tuple[str, str] | None:
-    """Why an answer cannot be sent; the evaluator checks the numbers in it."""
-    if answer.shape not in ((count, 3), (count,)):
-        return "wrong_shape", f"returned shape {answer.shape}, expected ({count}, 3) or ({count},)"
-    if answer.dtype.kind not in "biuf" or answer.dtype.itemsize > 8:
-        return "wrong_dtype", f"returned dtype {answer.dtype}, expected integers"
-    return None
-
-
-def _wrong_maps(answer: np.ndarray[Any, Any], count: int) -> tuple[str, str] | None:
-    wanted = (count, grid.SCENE_PIXELS, grid.SCENE_PIXELS)
-    if answer.ndim == 4 and answer.shape[:3] == wanted and 1 <= answer.shape[3] <= grid.ANGLES:
-        return None
-    return "wrong_shape", f"maps has shape {answer.shape}, expected {(*wanted, grid.ANGLES)} or fewer angles"
 
 
 def _describe(error: BaseException, own_folder: str) -> dict[str, Any]:

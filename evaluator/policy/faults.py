@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.policy.load_errors import printable
+from evaluator.policy.output import printable
 from rema_data import grid
 
-__all__ = ["Answer", "FaultReason", "PolicyFault", "check_answer", "check_maps", "reported_fault"]
+__all__ = ["Answer", "FaultReason", "PolicyFault", "check_answer", "check_maps", "form_fault", "reported_fault"]
 
 _BOUNDS = (grid.SCENE_PIXELS, grid.SCENE_PIXELS, grid.ANGLES)
 
@@ -68,15 +68,23 @@ def check_answer(answer: npt.NDArray[np.generic], valid: npt.NDArray[np.bool_]) 
     list of int or PolicyFault
         One an observation. A wrong shape or type is a fault of all of them.
     """
-    count = len(valid)
-    if answer.shape not in ((count, 3), (count,)):
-        detail = f"returned shape {answer.shape}, expected ({count}, 3) or ({count},)"
-        return [PolicyFault(FaultReason.SHAPE, detail)] * count
+    if fault := form_fault(answer, len(valid)):
+        return [fault] * len(valid)
     if answer.dtype.kind not in "iu":
         return [_wrong_number(row, answer.dtype) for row in answer]
     if answer.ndim == 1:
         return [_check_index(int(index), valid[n]) for n, index in enumerate(answer)]
     return [_check_cell((int(row[0]), int(row[1]), int(row[2])), valid[n]) for n, row in enumerate(answer)]
+
+
+def form_fault(answer: npt.NDArray[np.generic], count: int) -> PolicyFault | None:
+    """Why an answer to ``count`` observations cannot even be sent: its shape, or entries that are not numbers."""
+    if answer.shape not in ((count, 3), (count,)):
+        detail = f"returned shape {answer.shape}, expected ({count}, 3) or ({count},)"
+        return PolicyFault(FaultReason.SHAPE, detail)
+    if answer.dtype.kind not in "biuf" or answer.dtype.itemsize > 8:
+        return PolicyFault(FaultReason.DTYPE, f"returned dtype {answer.dtype}, expected integers")
+    return None
 
 
 def check_maps(maps: npt.NDArray[np.generic], count: int) -> npt.NDArray[np.float32] | PolicyFault:
@@ -90,7 +98,7 @@ def check_maps(maps: npt.NDArray[np.generic], count: int) -> npt.NDArray[np.floa
 
 
 def _wrong_number(row: npt.NDArray[np.generic], dtype: np.dtype[np.generic]) -> PolicyFault:
-    if dtype.kind in "fc" and not np.isfinite(row).all():
+    if dtype.kind == "f" and not np.isfinite(row).all():
         return PolicyFault(FaultReason.NAN, f"returned {np.asarray(row).tolist()}")
     return PolicyFault(FaultReason.DTYPE, f"returned dtype {dtype}, expected integers")
 

@@ -1,17 +1,31 @@
-"""The evaluator's end of a policy: asks it in batches, and counts every violation of the contract as a fault."""
+"""The evaluator's end of a policy: its process, started in the sandbox, asked in batches, and started again if it dies.
+
+Every violation of the contract is counted as a fault.
+"""
 
 from __future__ import annotations
 
 import logging
+import secrets
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from evaluator.policy.contract import ObservationBatch
 from evaluator.policy.faults import Answer, FaultReason, PolicyFault, check_answer, check_maps, reported_fault
-from evaluator.policy.session import PolicySession
+from evaluator.policy.load_errors import LoadFailure, load_hint
+from evaluator.policy.loading import PolicySpec, check_checkpoint
+from evaluator.policy.output import CappedOutput, printable
+from evaluator.policy.process import ChildFailure, ChildProcess
+from evaluator.policy.sandbox.isolation import Isolation, isolation_of
+from evaluator.policy.sandbox.launch_spec import LaunchSpec
+from evaluator.policy.sandbox.limits import PolicyLimits
+from evaluator.policy.wire import REPLIES, Frame, batch_frame, frame_parts
 from rema_data import grid
-from rema_data.errors import InputError
+from rema_data.errors import InputError, SubmissionError
 from rema_data.schema import Situation
 
 __all__ = ["PolicyHost"]
@@ -22,12 +36,121 @@ _MAP_BYTES = grid.ACTIONS * 4
 _WARNINGS = 3  # failed batches that are logged as warnings: the counts are in the summary
 
 
-class PolicyHost(PolicySession):
-    """A policy in its own process, as a context manager: see ``PolicySession`` for what it is made of and raises."""
+class PolicyHost:
+    """A policy in a separate process, as a context manager.
 
-    returned = ""
-    """Type and shape of the last array that the policy returned."""
-    _warned = 0
+    Parameters
+    ----------
+    spec : PolicySpec
+    checkpoint : Path or None
+    device : str
+        Handed to the policy as it is.
+    limits : PolicyLimits
+    log : Path or None
+        Where the policy's output is appended when the host closes; None keeps it in memory (``output``).
+    run : Path or None
+        Folder of the run: the policy can read neither it nor the runs beside it. The folder of ``log`` by default.
+    confine : bool
+        Whether the kernel restricts the policy (Landlock, seccomp); ``isolation`` says what was reached.
+    sandbox : str or None
+        A wrapper's command that is put before the policy's, see ``evaluator.policy.sandbox.wrapper``.
+
+    Attributes
+    ----------
+    spec : PolicySpec
+    restarts : int
+        Processes that were started after the first one.
+    returned : str
+        Type and shape of the last array that the policy returned.
+
+    Raises
+    ------
+    MissingFileError
+        The checkpoint does not exist.
+    InputError
+        The wrapper's command cannot be used.
+    SubmissionError
+        On entering: the file does not import, has no such class, or its constructor raises or hangs.
+
+    Notes
+    -----
+    Enter it in the thread that outlives it: on Linux the kernel ends the process with the thread that started it.
+    """
+
+    def __init__(
+        self,
+        spec: PolicySpec,
+        checkpoint: Path | None,
+        device: str = "cpu",
+        limits: PolicyLimits | None = None,
+        log: Path | None = None,
+        *,
+        run: Path | None = None,
+        confine: bool = True,
+        sandbox: str | None = None,
+    ) -> None:
+        self.spec = spec
+        self._checkpoint = check_checkpoint(checkpoint)
+        self._device = device
+        self._limits = limits or PolicyLimits()
+        self._log = log
+        run = log.parent if run is None and log is not None else run
+        self._launch = LaunchSpec(spec.path, self._checkpoint, self._limits, run, confine, sandbox)
+        self._output = CappedOutput(log, self._limits.log_head_bytes, self._limits.log_tail_bytes)
+        self._child: ChildProcess | None = None
+        self._isolation: Isolation | None = None
+        self._privileged: bool | None = None
+        self._asked = 0  # observations
+        self._waited_s = 0.0  # for processes that are gone
+        self._overdrawn: PolicyFault | None = None
+        self._warned = 0
+        self.restarts = 0
+        self.returned = ""
+
+    @property
+    def privileged(self) -> bool:
+        """Whether the policy is shown the ground truth; known after entering."""
+        return self._privileged is True
+
+    @property
+    def isolation(self) -> Isolation:
+        """What the sandbox restricts, and its level; known after entering."""
+        if self._isolation is None:
+            raise InputError("a policy's isolation is not known before its process runs", hint="enter the host first")
+        return self._isolation
+
+    @property
+    def waited_s(self) -> float:
+        """Seconds that all questions together took, the start of the process included."""
+        return self._waited_s + (0.0 if self._child is None else self._child.waited_s)
+
+    @property
+    def peak_memory_bytes(self) -> int | None:
+        """Most memory that the present process held at a time; None where the system does not say."""
+        return None if self._child is None else self._child.peak_memory_bytes()
+
+    @property
+    def output(self) -> str:
+        """The kept part of what the policy printed."""
+        return self._output.text()
+
+    @property
+    def output_bytes(self) -> int:
+        """Bytes the policy printed so far."""
+        return self._output.total
+
+    def __enter__(self) -> Self:
+        try:
+            self._start()
+        except BaseException:
+            self._close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._close()
 
     def act(self, batch: ObservationBatch, situations: tuple[Situation, ...] | None = None) -> list[Answer]:
         """An action or a fault for every observation of ``batch``, in its order.
@@ -41,7 +164,7 @@ class PolicyHost(PolicySession):
         Raises
         ------
         InputError
-            When a privileged policy is asked without situations.
+            A privileged policy is asked without situations.
         """
         if self._privileged and (situations is None or len(situations) != len(batch)):
             raise InputError("a privileged policy needs one situation an observation", hint="pass `situations`")
@@ -49,13 +172,28 @@ class PolicyHost(PolicySession):
             return []
         self._asked += len(batch)
         shown = situations if self._privileged else None
-        answers = self._ask(batch, shown, self._limits.batch_s)
+        answers = self._answers(batch, shown, self._limits.batch_s)
         if isinstance(answers, list):
             return answers
         level = logging.WARNING if self._warned < _WARNINGS else logging.DEBUG
         self._warned += 1
         _LOG.log(level, "policy %s failed on a batch: %s: %s", self.spec.name, answers.reason, answers.detail)
         return [answers] if len(batch) == 1 else self._ask_one_by_one(batch, shown)
+
+    def maps(self, batch: ObservationBatch) -> npt.NDArray[np.float32] | PolicyFault:
+        """The policy's scores of all actions, from its optional method ``maps(observations)``.
+
+        Returns
+        -------
+        float32 (N, 64, 64, K) with K from 1 to 16, or PolicyFault
+            A batch that failed is not asked again: no rate depends on it.
+        """
+        self._asked += len(batch)
+        reply = self._exchange("maps", batch, None, self._limits.batch_s, len(batch) * _MAP_BYTES)
+        if isinstance(reply, PolicyFault):
+            return reply
+        header, arrays = reply
+        return check_maps(arrays["answer"], len(batch)) if _answered(reply) else reported_fault(header)
 
     def _ask_one_by_one(self, batch: ObservationBatch, shown: tuple[Situation, ...] | None) -> list[Answer]:
         """Find out which observations of a failed batch are faults.
@@ -67,7 +205,7 @@ class PolicyHost(PolicySession):
         single_s = min(self._limits.batch_s, self._limits.single_s)
         deaths = 0
         for n in range(len(batch)):
-            single = self._ask(batch.one(n), None if shown is None else (shown[n],), single_s)
+            single = self._answers(batch.one(n), None if shown is None else (shown[n],), single_s)
             answers += single if isinstance(single, list) else [single]
             lost = isinstance(single, PolicyFault) and single.reason != FaultReason.EXCEPTION
             deaths = deaths + 1 if lost else 0
@@ -75,41 +213,136 @@ class PolicyHost(PolicySession):
                 return answers + [single] * (len(batch) - len(answers))
         return answers
 
-    def _ask(
+    def _answers(
         self, batch: ObservationBatch, shown: tuple[Situation, ...] | None, seconds: float
     ) -> list[Answer] | PolicyFault:
         """Answers of a batch within ``seconds``, or the fault that left it without any."""
-        reply = self.exchange("act", batch, shown, seconds, len(batch) * _ACTION_BYTES)
+        reply = self._exchange("act", batch, shown, seconds, len(batch) * _ACTION_BYTES)
         if isinstance(reply, PolicyFault):
             return reply
         header, arrays = reply
-        if header.get("ok") is True and "answer" in arrays:
-            self.returned = f"{arrays['answer'].dtype} {_shape(arrays['answer'])}"
-            return check_answer(arrays["answer"], batch.valid)
+        if _answered(reply):
+            answer = arrays["answer"]
+            shape = "".join(f", {size}" for size in answer.shape[1:]) or ","
+            self.returned = f"{answer.dtype} (N{shape})"
+            return check_answer(answer, batch.valid)
         fault = reported_fault(header)
         return fault if fault.reason == FaultReason.EXCEPTION else [fault] * len(batch)
 
-    def maps(self, batch: ObservationBatch) -> npt.NDArray[np.float32] | PolicyFault:
-        """The policy's scores of all actions, from its method ``maps(observations)``, which no policy has to have.
+    def _exchange(
+        self, op: str, batch: ObservationBatch, shown: tuple[Situation, ...] | None, seconds: float, reply_bytes: int
+    ) -> Frame | PolicyFault:
+        """The reply to one question (its arrays of at most ``reply_bytes``), from a new process if the last one died."""
+        left_s = self._left_s()
+        if left_s <= 0:
+            return self._overdraw()
+        if self._child is None:
+            try:
+                self._start()
+            except (SubmissionError, InputError) as error:
+                return PolicyFault(FaultReason.RESTART, error.message)
+            self.restarts += 1
+        assert self._child is not None
+        number = secrets.randbits(53)  # a count would tell a policy how far the run is
+        try:
+            reply = self._child.ask(batch_frame(number, batch, shown, op), min(seconds, left_s), reply_bytes)
+        except ChildFailure as failure:
+            self._drop()
+            if failure.reason == FaultReason.TIMEOUT and seconds > left_s:
+                return self._overdraw()
+            return PolicyFault(failure.reason, str(failure))
+        header, _ = reply
+        if header.get("op") != REPLIES[op] or header.get("number") != number:
+            self._drop()
+            return PolicyFault(FaultReason.PROTOCOL, "the reply belongs to no question")
+        return reply
 
-        Parameters
-        ----------
-        batch : ObservationBatch
+    def _left_s(self) -> float:
+        """Seconds that the whole run may still wait for the policy."""
+        if self._overdrawn:
+            return 0.0
+        return self._limits.run_s + self._limits.observation_s * self._asked - self.waited_s
 
-        Returns
-        -------
-        float32 (N, 64, 64, K) with K from 1 to 16, or PolicyFault
-            Of a batch that failed, nothing is asked again: no rate depends on it.
-        """
-        self._asked += len(batch)
-        reply = self.exchange("maps", batch, None, self._limits.batch_s, len(batch) * _MAP_BYTES)
-        if isinstance(reply, PolicyFault):
-            return reply
-        header, arrays = reply
-        if header.get("ok") is True and "answer" in arrays:
-            return check_maps(arrays["answer"], len(batch))
-        return reported_fault(header)
+    def _overdraw(self) -> PolicyFault:
+        """The fault of every observation from now on."""
+        self._drop()
+        if self._overdrawn is None:
+            self._overdrawn = PolicyFault(
+                FaultReason.TIMEOUT,
+                f"the policy used up its time: {self._limits.run_s:g} s and {self._limits.observation_s:g} s for each "
+                f"of {self._asked} observations",
+            )
+        return self._overdrawn
+
+    def _start(self) -> None:
+        limit_s = self._limits.start_s
+        self._child = ChildProcess(self._output, self._launch)
+        load: dict[str, Any] = {
+            "op": "load",
+            "path": str(self.spec.path),
+            "class_name": self.spec.class_name,
+            "checkpoint": None if self._checkpoint is None else str(self._checkpoint),
+            "device": self._device,
+        }
+        try:
+            self._confine(self._child)
+            header, _ = self._child.ask(frame_parts(load), limit_s - self._child.waited_s, 0)
+        except ChildFailure as failure:
+            late = failure.reason == FaultReason.TIMEOUT
+            why = f"did not start within {limit_s:g} s" if late else f"{failure} while it started"
+            raise self._error(LoadFailure(why)) from None
+        if header.get("ok") is not True:
+            raise self._error(LoadFailure.of(header))
+        found = header.get("privileged") is True
+        if self._privileged not in (None, found):
+            # What the run says of the policy was taken from its first process.
+            was, now = (f"`privileged` {value}" for value in (self._privileged, found))
+            raise self._error(LoadFailure(f"started again it has {now}, at first it had {was}"))
+        self._privileged = found
+
+    def _confine(self, child: ChildProcess) -> None:
+        """Restrict the process, before anything of the policy is read."""
+        sandbox = self._launch.sandbox
+        try:
+            report, _ = child.ask(frame_parts(self._launch.orders(child.folder)), self._limits.start_s, 0)
+        except ChildFailure as failure:
+            if sandbox is None:
+                raise
+            self._drop()
+            raise InputError(
+                f"Python did not start in --sandbox {sandbox!r}: {failure}",
+                hint=f"{printable(self.output).strip()}\nlet it see the folders of Python and of rema",
+            ) from None
+        found = isolation_of(report, sandbox)
+        if self._isolation not in (None, found):
+            raise self._error(LoadFailure(f"its sandbox is not the one of its first process: {found}"))
+        self._isolation = found
+
+    def _error(self, failure: LoadFailure) -> SubmissionError:
+        self._drop()
+        path, where = self.spec.path, failure.where
+        message = f"policy {self.spec.name} cannot be used: {failure.message}"
+        if self.spec.named is not None and failure.explains_itself:
+            # The code of an installed policy needs no fix: its checkpoint does.
+            return SubmissionError(message, path=path)
+        hint = load_hint(failure, where or str(path), self.output, self._isolation, self._checkpoint)
+        if self._log is not None and self._output.total:
+            hint += f"\nits output is in {self._log}"
+        return SubmissionError(message + (f" ({where})" if where else ""), hint=hint, path=path, where=where)
+
+    def _drop(self) -> None:
+        if self._child is not None:
+            self._waited_s += self._child.waited_s
+            self._child.kill()
+            self._child = None
+
+    def _close(self) -> None:
+        if self._child is not None:
+            self._child.close()
+            self._child = None
+        self._output.settle()
 
 
-def _shape(answer: npt.NDArray[np.generic]) -> str:
-    return "(N,)" if answer.ndim == 1 else f"(N, {', '.join(map(str, answer.shape[1:]))})"
+def _answered(reply: Frame) -> bool:
+    header, arrays = reply
+    return header.get("ok") is True and "answer" in arrays

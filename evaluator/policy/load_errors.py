@@ -7,40 +7,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from evaluator.policy.output import printable
 from evaluator.policy.sandbox.isolation import Isolation
 
-__all__ = ["LoadFailure", "conversion_command", "printable", "load_hint"]
+__all__ = ["LoadFailure", "conversion_command", "load_hint"]
 
 _SHOWN = 2000  # characters
 _UNPICKLING = "_pickle.UnpicklingError"
 _DENIED = "builtins.PermissionError"
 _OWN = "rema_data.errors.RemaError"
 _PICKLES = (".pt", ".pth", ".ckpt", ".pkl", ".bin")
-_FILES = 5
-"""Number of pickles of a folder that are named."""
+_FILES = 5  # pickles of a folder that are named
 
 
 def conversion_command(path: Path, *, trust: bool = False) -> str:
-    """What turns the weights in a pickle into safetensors, for a shell.
-
-    Parameters
-    ----------
-    path : Path
-    trust : bool
-        Whether the pickle may run code when it is opened; the user has to choose that.
-    """
+    """Shell command that turns the weights in a pickle into safetensors; with ``trust`` the pickle may run code."""
     words = ["python", "-m", "evaluator.policy.conversion", str(path), *(["--trust"] if trust else [])]
     return shlex.join(words)
-
-
-def printable(said: object) -> str:
-    """Text of a policy, fit for a terminal and for a record: no control characters, no lone surrogates, not long.
-
-    A value that is not text (a hostile policy writes its own replies) is shown as its type.
-    """
-    text = said if isinstance(said, str) else f"({type(said).__name__})"
-    text = text[:_SHOWN].encode(errors="backslashreplace").decode()
-    return "".join(c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in text)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +39,7 @@ class LoadFailure:
     trace : str
         The last lines of the traceback.
     kinds : tuple of str
-        Types (``module.name``) of what was raised, with their bases and those of its causes.
+        Types (``module.name``) of the exception and of its causes, with their bases.
     """
 
     message: str
@@ -84,20 +67,7 @@ class LoadFailure:
 def load_hint(
     failure: LoadFailure, place: str, printed: str, isolation: Isolation | None, checkpoint: Path | None
 ) -> str:
-    """Lines below the message: what was raised, and how to fix it.
-
-    Parameters
-    ----------
-    failure : LoadFailure
-    place : str
-        File, or file and line, to fix.
-    printed : str
-        What the policy printed; shown where there is no traceback.
-    isolation : Isolation or None
-        None where the process did not get so far.
-    checkpoint : Path or None
-        What the policy had to load.
-    """
+    """Lines below the message: the traceback, or else what the policy ``printed``, and how to fix it at ``place``."""
     lines = [printable((failure.trace or printed)[-_SHOWN:]).strip()]
     if _UNPICKLING in failure.kinds:
         lines.append(
@@ -115,7 +85,6 @@ def load_hint(
 
 
 def _pickles(checkpoint: Path | None) -> list[Path]:
-    """The files that a policy may have tried to open."""
     if checkpoint is not None and checkpoint.is_file():
         return [checkpoint]
     if checkpoint is None:

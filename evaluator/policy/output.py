@@ -11,11 +11,12 @@ from pathlib import Path
 
 from rema_data.storage import write_atomic
 
-__all__ = ["CappedOutput"]
+__all__ = ["CappedOutput", "printable"]
 
 _LOG = logging.getLogger(__name__)
 _CHUNK = 1 << 20
 _POLL_S = 0.2
+_SHOWN = 2000  # characters
 
 
 class CappedOutput:
@@ -104,3 +105,13 @@ class CappedOutput:
             left_out = self._total - len(self._head) - len(self._tail)
             middle = f"\n... {left_out} bytes left out ...\n" if left_out > 0 else ""
             return self._head.decode(errors="replace") + middle + self._tail.decode(errors="replace")
+
+
+def printable(text: object) -> str:
+    """Text of a policy, fit for a terminal and for a record: no control characters, no lone surrogates, not long.
+
+    A value that is not text (a hostile policy writes its own replies) is shown as its type.
+    """
+    text = text if isinstance(text, str) else f"({type(text).__name__})"
+    text = text[:_SHOWN].encode(errors="backslashreplace").decode()
+    return "".join(c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in text)

@@ -11,20 +11,18 @@ import tempfile
 import time
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 import psutil
 
-from evaluator.engines.signals import signal_name
+from evaluator.engines.child import signal_name
+from evaluator.policy.faults import FaultReason
 from evaluator.policy.output import CappedOutput
 from evaluator.policy.sandbox.cleanup import CleanupShell, descendants, end_family, remove_folder
 from evaluator.policy.sandbox.launch_spec import LaunchSpec
 from evaluator.policy.sandbox.resource_monitor import ResourceMonitor
-from evaluator.policy.wire import WireError, frame_parts, read_frame
+from evaluator.policy.wire import Frame, WireError, frame_parts, read_frame
 
-__all__ = ["ChildDeath", "ChildOverLimit", "ChildNoise", "ChildProcess", "ChildTimeout"]
+__all__ = ["ChildFailure", "ChildProcess"]
 
 _PIPE_BYTES = 1 << 20
 _REPLY_HEADER = 1 << 20
@@ -34,20 +32,12 @@ _SLICE_S = 0.5
 """Time between two looks at the resources that the policy uses, while the evaluator waits."""
 
 
-class ChildTimeout(Exception):
-    """No reply before the deadline."""
+class ChildFailure(Exception):
+    """No reply: the time is over, the process ended or exceeded a limit, or it wrote something else."""
 
-
-class ChildDeath(Exception):
-    """The process ended."""
-
-
-class ChildNoise(Exception):
-    """The process wrote something that is not a reply."""
-
-
-class ChildOverLimit(Exception):
-    """The process exceeded a limit."""
+    def __init__(self, reason: FaultReason, detail: str) -> None:
+        super().__init__(detail)
+        self.reason = reason
 
 
 class _Budget:
@@ -63,7 +53,7 @@ class _Budget:
         return self._seconds - self._left
 
     def wait(self, read: int | None = None, write: int | None = None) -> None:
-        """Return when the end can be read (written), or raise ChildTimeout or ChildOverLimit."""
+        """Return when the end can be read (written)."""
         readable, writable = ([] if end is None else [end] for end in (read, write))
         while True:
             start, allowed = time.monotonic(), max(0.0, min(self._left, _SLICE_S))
@@ -72,26 +62,15 @@ class _Budget:
             if ready:
                 return
             if self._monitor is not None and (excess := self._monitor.excess()):
-                raise ChildOverLimit(excess)
+                raise ChildFailure(FaultReason.DIED, excess)
             if self._left <= 0:
-                raise ChildTimeout
+                raise ChildFailure(FaultReason.TIMEOUT, f"no answer within {self._seconds:g} s")
 
 
 class ChildProcess:
     """A policy's process (``evaluator.policy.sandbox.kernel``), in its own session, asked over its standard streams.
 
-    Parameters
-    ----------
-    output : CappedOutput
-        Takes what the process prints.
-    launch : LaunchSpec
-
-    Attributes
-    ----------
-    folder : Path
-        Its temporary folder.
-    waited_s : float
-        Seconds that all questions together took.
+    ``output`` takes what it prints, ``folder`` is its temporary folder, and ``waited_s`` the time of all questions.
     """
 
     def __init__(self, output: CappedOutput, launch: LaunchSpec) -> None:
@@ -131,45 +110,26 @@ class ChildProcess:
             with contextlib.suppress(OSError):
                 fcntl.fcntl(self._requests, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
 
-    @property
-    def pid(self) -> int:
-        """Process id."""
-        return self._process.pid
-
     def peak_memory_bytes(self) -> int | None:
         """Most memory that the process held at a time; None where the system does not say."""
         with contextlib.suppress(OSError, ValueError, IndexError):
-            status = Path(f"/proc/{self.pid}/status").read_text()
+            status = Path(f"/proc/{self._process.pid}/status").read_text()
             return 1024 * int(status.split("VmHWM:")[1].split()[0])
         return None
 
-    def ask(
-        self, parts: Iterable[bytes | memoryview], seconds: float, reply_bytes: int
-    ) -> tuple[dict[str, Any], dict[str, npt.NDArray[np.generic]]]:
-        """Send a frame and wait for one.
-
-        Raises
-        ------
-        ChildTimeout
-            When the reply is not complete within ``seconds``.
-        ChildDeath
-            When the process ended.
-        ChildNoise
-            When it replied with something else than a frame with at most ``reply_bytes`` of arrays.
-        ChildOverLimit
-            When it used more memory or disk than it may.
-        """
+    def ask(self, parts: Iterable[bytes | memoryview], seconds: float, reply_bytes: int) -> Frame:
+        """Send a frame, and wait ``seconds`` for one with at most ``reply_bytes`` of arrays, or raise ChildFailure."""
         if excess := self._monitor.excess_of_disk():
-            raise ChildOverLimit(excess)
+            raise ChildFailure(FaultReason.DIED, excess)
         budget = _Budget(seconds, self._monitor)
         try:
             for part in parts:
                 self._write(memoryview(part), budget)
             return read_frame(lambda count: self._read(count, budget), _REPLY_HEADER, reply_bytes)
         except (BrokenPipeError, EOFError) as error:
-            raise ChildDeath(self._how_it_ended()) from error
+            raise ChildFailure(FaultReason.DIED, self._how_it_ended()) from error
         except WireError as error:
-            raise ChildNoise(f"the reply cannot be read: {error}") from error
+            raise ChildFailure(FaultReason.PROTOCOL, f"the reply cannot be read: {error}") from error
         finally:
             self.waited_s += budget.used_s
 
@@ -210,8 +170,8 @@ class ChildProcess:
     def close(self) -> None:
         """Ask the process to end, then end it and everything that it started."""
         known = descendants(self._process)  # once it has ended, its children have no parent to be found by
-        with contextlib.suppress(OSError, ChildTimeout):
-            for part in frame_parts({"op": "close"}, {}):
+        with contextlib.suppress(OSError, ChildFailure):
+            for part in frame_parts({"op": "close"}):
                 self._write(memoryview(part), _Budget(_GOODBYE_S))
             self._await_end(_GOODBYE_S)
         self.kill(known)

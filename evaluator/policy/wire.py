@@ -17,7 +17,7 @@ from __future__ import annotations
 import json
 import math
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,6 +29,7 @@ from rema_data.schema import Grip, Pinch, Placement, Situation, spec_from_dict, 
 __all__ = [
     "MAX_HEADER",
     "REPLIES",
+    "Frame",
     "WireError",
     "batch_frame",
     "frame_parts",
@@ -48,6 +49,8 @@ _DTYPES = frozenset({"|b1", "|i1", "|u1", *(order + number for order in "<>" for
 """What may cross: numbers of 1 to 8 bytes, in either order of bytes."""
 
 Array = npt.NDArray[Any]
+Frame = tuple[dict[str, Any], dict[str, Array]]
+"""Header and arrays."""
 Read = Callable[[int], bytes | bytearray]
 
 
@@ -55,16 +58,11 @@ class WireError(Exception):
     """Bytes that are not a frame."""
 
 
-def frame_parts(header: dict[str, Any], arrays: dict[str, tuple[Array, int]]) -> Iterator[bytes | memoryview]:
-    """The pieces of a frame, ready to be written; arrays are not copied where they are contiguous.
-
-    Parameters
-    ----------
-    header : dict
-        Anything that JSON holds, without ``arrays``.
-    arrays : dict of name -> (array, repeat)
-    """
-    contiguous = {name: (np.ascontiguousarray(array), repeat) for name, (array, repeat) in arrays.items()}
+def frame_parts(
+    header: dict[str, Any], arrays: Mapping[str, tuple[Array, int]] | None = None
+) -> Iterator[bytes | memoryview]:
+    """The parts of a frame, ready to be written: a header for JSON, and arrays by name, each with its ``repeat``."""
+    contiguous = {name: (np.ascontiguousarray(array), repeat) for name, (array, repeat) in (arrays or {}).items()}
     described = [[name, array.dtype.str, list(array.shape), repeat] for name, (array, repeat) in contiguous.items()]
     text = json.dumps({**header, "arrays": described}).encode()
     if len(text) > MAX_HEADER:
@@ -75,7 +73,7 @@ def frame_parts(header: dict[str, Any], arrays: dict[str, tuple[Array, int]]) ->
             yield array.data.cast("B")
 
 
-def read_frame(read: Read, max_header: int, max_bytes: int) -> tuple[dict[str, Any], dict[str, Array]]:
+def read_frame(read: Read, max_header: int, max_bytes: int) -> Frame:
     """One frame from ``read(count)``, which answers exactly ``count`` bytes; arrays are writable and expanded.
 
     Raises

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluator.policy import PolicyFault, PolicyHost
-from evaluator.policy.load_errors import printable
 from evaluator.policy.loading import PolicySpec, digest
+from evaluator.policy.output import printable
 from evaluator.report.breakdown import Group, group
 from evaluator.rollout.ask import question
 from evaluator.rollout.backend import default_backend

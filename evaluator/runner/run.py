@@ -10,7 +10,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from evaluator.engines import worker_count
+from evaluator.engines import make_engine
 from evaluator.engines.child import call_in_child
 from evaluator.rollout.backend import Backend, PolicyProcess, default_backend
 from evaluator.rollout.simulate import check_infrastructure, pending_jobs, simulate_jobs
@@ -169,7 +169,7 @@ class _Run:
         config = self.config
         self.folder.begin_segment(
             engine=config.engine,
-            workers=worker_count(config.engine, config.workers, address=config.address),
+            workers=make_engine(config.engine, config.workers, address=config.address).workers,
             batch_size=config.batch_size,
             order=config.order,
             shard=None if config.shard is None else str(config.shard),

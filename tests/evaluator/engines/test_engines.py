@@ -13,7 +13,7 @@ from typing import Any
 import psutil
 import pytest
 
-from evaluator.engines import Engine, InfraError, Job, JobResult, default_workers, make_engine, worker_count
+from evaluator.engines import Engine, InfraError, Job, JobResult, default_workers, make_engine
 from evaluator.engines.base import load_attribute
 from evaluator.engines.child import THREAD_CAPS, call_in_child
 from evaluator.engines.inline import InlineEngine
@@ -66,7 +66,7 @@ def test_worker_that_dies_once_costs_nothing(monkeypatch: pytest.MonkeyPatch, tm
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_poison_is_quarantined(monkeypatch: pytest.MonkeyPatch, workers: int) -> None:
+def test_a_job_that_kills_its_worker_is_given_up(monkeypatch: pytest.MonkeyPatch, workers: int) -> None:
     order(monkeypatch, die=[3, 11], **{"raise": [20]})
     results = collect(ProcessEngine(SIMULATOR, workers), fake_jobs(40))
     lost = {key: result.outcome for key, result in results.items() if isinstance(result.outcome, InfraError)}
@@ -82,7 +82,7 @@ def test_worker_killed_from_outside(monkeypatch: pytest.MonkeyPatch) -> None:
     for part in engine.map(job_batches(jobs)):
         found.extend(part)
         if len(found) >= 20 and engine.replaced == 0:
-            victim = next(iter(engine._seats.values())).child.process
+            victim = next(iter(engine._seats.values())).process
             os.kill(victim.pid, signal.SIGKILL)
             victim.wait()
     engine.close()
@@ -156,6 +156,6 @@ def test_the_ray_engine_without_ray(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_how_many_simulators_an_engine_runs() -> None:
-    assert worker_count("inline", 7) == 1
-    assert worker_count("process", 7) == worker_count("ray", 7) == 7
-    assert worker_count("process") == default_workers()
+    assert make_engine("inline", 7).workers == 1
+    assert make_engine("process", 7).workers == make_engine("ray", 7).workers == 7
+    assert make_engine("process").workers == default_workers()

@@ -11,7 +11,7 @@ from typing import Any
 import psutil
 import pytest
 
-from evaluator.engines import InfraError, Job, JobResult, worker_count
+from evaluator.engines import InfraError, Job, JobResult, make_engine
 from evaluator.engines.ray import RayEngine
 from evaluator.policy import resolve
 from evaluator.replay import replay
@@ -209,7 +209,7 @@ def test_ctrl_c_and_kill_mean_what_they_meant_before() -> None:
     ray.shutdown()
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
     engine = RayEngine(CLUSTER_SIMULATOR)
-    assert engine.workers == worker_count("ray") == 1
+    assert engine.workers == make_engine("ray").workers == 1
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
     engine.close()
     assert not ray.is_initialized()  # it left what it had joined

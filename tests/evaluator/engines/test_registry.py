@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from evaluator.cli.main import cli
-from evaluator.engines import engine_names, make_engine, worker_count
+from evaluator.engines import engine_names, make_engine
 from evaluator.engines.inline import InlineEngine
 from evaluator.engines.registry import GROUP
 from evaluator.runner import run_evaluation
@@ -40,7 +40,7 @@ def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_an_engine_of_somebody_else_plays_a_run(own: None, fake_home: Path) -> None:
-    assert "own" in engine_names() and worker_count("own", address="here:1") == 5
+    assert "own" in engine_names() and make_engine("own", address="here:1").workers == 5
     config = fake_config(fake_home / "run", engine="own", address="here:1", episodes=5, audit_share=0.0)
     assert run_evaluation(config, backend=fake_backend()).summary["episodes"] == 5
     assert OwnEngine.made[-1] == {"workers": 2, "address": "here:1"}
