@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import signal
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
@@ -27,6 +28,7 @@ __all__ = [
     "StepSimulator",
     "default_workers",
     "load_attribute",
+    "signal_name",
 ]
 
 SIMULATOR = "evaluator.sim.simulator:Simulator"
@@ -66,7 +68,7 @@ class Job:
 
 
 JobBatch = tuple[Job, ...]
-"""The unit of dispatch: more than a moment's work, little to lose."""
+"""The unit of dispatch: large enough to be worth a message, small enough to be lost."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +81,7 @@ class InfraError:
 
 @dataclass(frozen=True, slots=True)
 class JobResult:
-    """What came of one job.
+    """The result of one job.
 
     Attributes
     ----------
@@ -178,3 +180,12 @@ def default_workers() -> int:
     if hasattr(os, "sched_getaffinity"):
         return max(1, len(os.sched_getaffinity(0)))
     return max(1, os.cpu_count() or 1)
+
+
+def signal_name(number: int) -> str:
+    """Name of a signal: ``SIGKILL``, or ``SIGRTMIN+6`` for one of the many that Python has no name for."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        first = getattr(signal, "SIGRTMIN", None)
+        return f"signal {number}" if first is None or number < first else f"SIGRTMIN+{number - first}"

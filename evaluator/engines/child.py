@@ -14,10 +14,11 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
+from evaluator.engines.base import signal_name
 from evaluator.engines.worker import VALUE, die_with
 from rema_data.errors import InfrastructureError
 
-__all__ = ["Child", "call_in_child", "process_pool", "signal_name"]
+__all__ = ["Child", "call_in_child", "process_pool"]
 
 THREAD_CAPS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 _TAIL_BYTES = 2000
@@ -117,12 +118,3 @@ def process_pool(workers: int) -> ProcessPoolExecutor:
     """Fresh interpreters for Python calls, which end with this process."""
     spawn = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(workers, mp_context=spawn, initializer=die_with, initargs=(os.getpid(),))
-
-
-def signal_name(number: int) -> str:
-    """Name of a signal: ``SIGKILL``, or ``SIGRTMIN+6`` for one of the many that Python has no name for."""
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        first = getattr(signal, "SIGRTMIN", None)
-        return f"signal {number}" if first is None or number < first else f"SIGRTMIN+{number - first}"

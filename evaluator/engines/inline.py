@@ -22,17 +22,8 @@ __all__ = ["InlineEngine"]
 
 
 class InlineEngine:
-    """Runs every job here, one after the other.
+    """Runs every job here, one after the other; ``workers`` and ``address`` change nothing.
 
-    Parameters
-    ----------
-    factory : str
-        ``module:attribute`` of a callable that returns a simulator.
-    workers, address
-        As ``EngineType`` has them; neither changes anything.
-
-    Notes
-    -----
     A simulator that kills its process kills this one; ``ProcessEngine`` survives that.
     """
 

@@ -14,6 +14,7 @@ from evaluator.engines.base import SIMULATOR, BatchResult, InfraError, Job, JobB
 from evaluator.engines.child import Child
 from evaluator.engines.worker import DONE, RAISED, READY
 from rema_data.errors import InfrastructureError
+from rema_data.schema import StepOutcome
 
 __all__ = ["ProcessEngine"]
 
@@ -57,12 +58,8 @@ class ProcessEngine:
 
     Parameters
     ----------
-    factory : str
-        ``module:attribute`` of a callable that returns a simulator; called once in every worker.
-    workers : int, optional
-        Number of processes; every core this process may use by default.
-    address
-        As ``EngineType`` has it; changes nothing.
+    factory, workers, address
+        As ``EngineType`` has them; by default every core that this process may use. ``address`` changes nothing.
     episode_limit_s : float
         A worker that is silent for this long within one episode (or while it starts) is killed.
     growth_limit_bytes : int
@@ -116,14 +113,11 @@ class ProcessEngine:
                 if results:
                     yield tuple(results)
         except BaseException:  # Ctrl-C and an abandoned iterator included: nothing needs what still runs
-            self._stop_all(grace_s=0.0)
+            self.close(grace_s=0.0)
             raise
 
-    def close(self) -> None:
-        """Stop the workers."""
-        self._stop_all(grace_s=1.0)
-
-    def _stop_all(self, grace_s: float) -> None:
+    def close(self, grace_s: float = 1.0) -> None:
+        """Stop the workers; those that are idle have ``grace_s`` to leave."""
         for worker in self._seats.values():
             worker.channel.close()  # all leave at the same time
         for worker in self._seats.values():
@@ -176,27 +170,26 @@ class ProcessEngine:
     def _read(self, worker: _Worker, results: list[JobResult]) -> None:
         try:
             while worker.channel.poll(0):
-                message = worker.channel.recv()
+                kind, *content = worker.channel.recv()
                 worker.heard = time.monotonic()
-                if message[0] == DONE:
-                    self._finish(worker, message[1], message[2], message[3], results)
-                elif message[0] == READY:
+                if kind == DONE:
+                    results.append(self._finish(worker, *content))
+                elif kind == READY:
                     worker.ready = True
                     worker.start_bytes = worker.resident_bytes()
                     self._failed_starts = 0
-                elif message[0] == RAISED:
-                    worker.raised = message[1]
+                elif kind == RAISED:
+                    (worker.raised,) = content
         except (EOFError, OSError):
             self._lose(worker, results, "raised" if worker.raised else "died", worker.raised)
 
-    def _finish(self, worker: _Worker, key: int, outcome: object, seconds: float, results: list[JobResult]) -> None:
+    def _finish(self, worker: _Worker, key: int, outcome: StepOutcome, seconds: float) -> JobResult:
         worker.jobs.popleft()
         worker.served += 1
-        attempt = self._deaths.get(key, 0) + 1
-        results.append(JobResult(key, outcome, seconds, worker.name, attempt))  # type: ignore[arg-type]
         if worker.alone or len(worker.jobs) in (0, _LOW_WATER):
             worker.alone = False
             worker.retiring |= worker.resident_bytes() - worker.start_bytes > self._growth
+        return JobResult(key, outcome, seconds, worker.name, self._deaths.get(key, 0) + 1)
 
     def _lose(self, worker: _Worker, results: list[JobResult], reason: str, detail: str) -> None:
         """Remove a dead or hung worker, hand its jobs on, and decide about the one it died in."""

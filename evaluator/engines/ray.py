@@ -33,9 +33,9 @@ _DEPTH = 2
 """Batches given to an actor at a time, so that it never waits for the next one."""
 _POLL_S = 1.0
 _START_S = 600.0
-"""As long as nothing runs, an actor is waited for this long: a cluster may have to start a machine first."""
+"""How long to wait for an actor while nothing runs: a cluster may have to start a machine first."""
 _FAILED_STARTS = 3
-"""As many actors in a row that are lost before they are ready, while none is, mean that none will be."""
+"""After so many actors in a row that were lost before they were ready, while no other is, no more are started."""
 _RETRY_S = 5.0
 _CONNECT_S = 10.0
 
@@ -70,13 +70,9 @@ class RayEngine:
 
     Parameters
     ----------
-    factory : str
-        ``module:attribute`` of a callable that returns a simulator.
-    workers : int, optional
-        Actors, each with one CPU of the cluster; every CPU that it has at the start by default.
-    address : str, optional
-        Of the cluster, as ``ray.init`` takes it; ``local`` starts one on this machine for as long as the engine lives.
-        A process that is connected already stays so.
+    factory, workers, address
+        As ``EngineType`` has them. Every worker takes one CPU. ``address`` is that of ``ray.init``: ``local`` starts a
+        cluster on this machine for as long as the engine lives. A process that is connected already stays so.
     same : str, optional
         ``module:attribute`` of a call whose value must be the same on every machine as here; the fingerprint of the
         simulator by default, so that outcomes of another build never enter a run.
@@ -90,9 +86,9 @@ class RayEngine:
 
     Notes
     -----
-    A lost actor's place is filled by a new one wherever there is room. The jobs that it was running go out again one
-    by one, and one that loses a second actor is given up with an ``InfraError``, as an episode is that costs the
-    process engine two workers. What merely waited for the lost actor is not counted.
+    A lost actor is replaced by a new one wherever there is room. The jobs that it was running go out again one by one;
+    a job that loses a second actor is given up with an ``InfraError``, as in ``ProcessEngine``. Jobs that only waited
+    for the lost actor are not counted.
     """
 
     place = "cluster"

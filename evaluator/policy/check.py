@@ -1,8 +1,8 @@
-"""Check a policy before it is evaluated: some questions of every task in seconds, and what would be refused and why."""
+"""Check a policy before it is evaluated: ask it about every task for some seconds, and report what would be refused."""
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,11 +23,11 @@ __all__ = ["CheckResult", "PolicyReport", "check_policy"]
 _BATCH = 64
 _SMALL_BATCH = 7
 _REPEATED = 8
-"""So many questions of a step are asked alone, again, and in a new process."""
+"""Questions of a step that are asked again, and in a new process."""
 _LEAST = 4
 _OVERHEAD = 3 * _REPEATED + 2 * _SMALL_BATCH
 _BUDGET_S = 20.0
-"""Time that the policy is asked for, about: a slow one is asked less."""
+"""Time for all questions, about: a slow policy is asked fewer."""
 _LIMITS = PolicyLimits(batch_s=30.0, single_s=20.0, deaths_in_row=1)
 
 _PURE = (
@@ -96,7 +96,7 @@ def check_policy(
 
 @dataclass(slots=True)
 class _Check:
-    """A check under way."""
+    """A check that is running."""
 
     spec: PolicySpec
     weights: Path | None
@@ -107,10 +107,7 @@ class _Check:
     progress: Progress
     answers: list[list[Answer]] = field(default_factory=list)
     returned: Counter[str] = field(default_factory=Counter)
-    again: Same = field(default_factory=Same)
-    fresh: Same = field(default_factory=Same)
-    small: Same = field(default_factory=Same)
-    order: Same = field(default_factory=Same)
+    same: defaultdict[str, Same] = field(default_factory=lambda: defaultdict(Same))
     decisions: int = 0
     batched: int = 0
     batched_s: float = 0.0
@@ -119,12 +116,12 @@ class _Check:
     def report(self) -> PolicyReport:
         facts: dict[str, Any] = {}
         try:
-            with self._host() as host:
+            with PolicyHost(self.spec, self.weights, self.device, _LIMITS, sandbox=self.sandbox) as host:
                 facts = {"privileged": host.privileged, "isolation": host.isolation.level}
                 start_s, sandbox = host.waited_s, str(host.isolation)
                 self._first_process(host)
             if not self._hopeless:
-                with self._host() as host:
+                with PolicyHost(self.spec, self.weights, self.device, _LIMITS, sandbox=self.sandbox) as host:
                     self._second_process(host)
         except SubmissionError as error:
             message = error.message.removeprefix(f"policy {self.spec.name} cannot be used: ")
@@ -145,12 +142,9 @@ class _Check:
             peak_memory_bytes=self.memory or None,
         )
 
-    def _host(self) -> PolicyHost:
-        return PolicyHost(self.spec, self.weights, self.device, _LIMITS, sandbox=self.sandbox)
-
     @property
     def _hopeless(self) -> bool:
-        """Whether it did not answer anything: asking more takes time and says no more."""
+        """Whether it gave no valid answer: more questions would take time and show nothing new."""
         return not any(isinstance(answer, int) for answers in self.answers for answer in answers)
 
     def _ask(self, host: PolicyHost, batch: Questions) -> list[Answer]:
@@ -163,43 +157,38 @@ class _Check:
 
     def _first_process(self, host: PolicyHost) -> None:
         """Every step: one question, then a batch, the same again, and in small batches."""
-        single: list[list[Answer]] = []
         self.progress.phase("ask", 2 * len(self.asked))
-        for batch in self.asked:
-            single.append(self._ask(host, batch.part(slice(1))))
-        if not any(isinstance(answer, int) for (answer,) in single):
-            self.answers = single
+        self.answers = single = [self._ask(host, batch.part(slice(1))) for batch in self.asked]
+        if self._hopeless:
             return
         start_s = host.waited_s
         for batch in self.asked:
             self._ask(host, batch.part(slice(1)))
-        self._size(host.waited_s - start_s)
+        # So many questions of every step that all of them take about _BUDGET_S.
+        count = int(_BUDGET_S / max(host.waited_s - start_s, 1e-9) - _OVERHEAD) // 2
+        self.asked = [batch.part(slice(max(_LEAST, min(_BATCH, count)))) for batch in self.asked]
+        self.answers = []
         for batch, alone in zip(self.asked, single, strict=True):
             start_s = host.waited_s
             answers = self._ask(host, batch)
             self.batched_s += host.waited_s - start_s
             self.batched += len(answers)
             self.answers.append(answers)
-            self.small.compare(answers[:1], alone, batch.batch)
+            self.same["batch size"].compare(answers[:1], alone, batch.batch)
             some = slice(_REPEATED)
-            self.again.compare(answers[some], self._ask(host, batch.part(some)), batch.batch)
+            self.same["same again"].compare(answers[some], self._ask(host, batch.part(some)), batch.batch)
             for begin in range(0, min(len(answers), 2 * _SMALL_BATCH), _SMALL_BATCH):
                 part = slice(begin, begin + _SMALL_BATCH)
-                self.small.compare(answers[part], self._ask(host, batch.part(part)), batch.batch)
+                self.same["batch size"].compare(answers[part], self._ask(host, batch.part(part)), batch.batch)
             self.progress.advance(1)
-
-    def _size(self, seconds: float) -> None:
-        """Cut the questions so that asking takes seconds; ``seconds``: for one of every step."""
-        count = int(_BUDGET_S / max(seconds, 1e-9) - _OVERHEAD) // 2
-        self.asked = [batch.part(slice(max(_LEAST, min(_BATCH, count)))) for batch in self.asked]
 
     def _second_process(self, host: PolicyHost) -> None:
         """The same batch in a new process, then the tasks and the batches in reverse order."""
         first = slice(_REPEATED)
         for batch, answers in zip(self.asked, self.answers, strict=True):
-            self.fresh.compare(answers[first], self._ask(host, batch.part(first)), batch.batch)
+            self.same["new process"].compare(answers[first], self._ask(host, batch.part(first)), batch.batch)
         for batch, answers in zip(reversed(self.asked), reversed(self.answers), strict=True):
-            self.order.compare(answers[::-1], self._ask(host, batch.part(slice(None, None, -1))), batch.batch)
+            self.same["order"].compare(answers[::-1], self._ask(host, batch.part(slice(None, None, -1))), batch.batch)
             self.progress.advance(1)
 
     def _results(self, sandbox: str, level: str) -> Iterator[CheckResult]:
@@ -207,10 +196,13 @@ class _Check:
         yield validity_result(self.answers, returned[0][0] if returned else "")
         if not self._hopeless:
             largest = len(self.asked[0].situations)
-            yield self.again.result("same again", "when it was asked again", _PURE)
-            yield self.fresh.result("new process", "in a new process", _PURE)
-            yield self.small.result("batch size", f"in batches of 1, {_SMALL_BATCH} and {largest}", _ALONE)
-            yield self.order.result("order", "in reverse order", _PURE)
+            for name, condition, fix in (
+                ("same again", "when it was asked again", _PURE),
+                ("new process", "in a new process", _PURE),
+                ("batch size", f"in batches of 1, {_SMALL_BATCH} and {largest}", _ALONE),
+                ("order", "in reverse order", _PURE),
+            ):
+                yield self.same[name].result(name, condition, fix)
             yield time_result(self.batched_s / self.batched, _BATCH)
         fix = "" if level != "L1" else "use Linux 6.2 or newer with libseccomp: see docs/threat_model.md"
         yield CheckResult("sandbox", "warning" if level == "L1" else "ok", sandbox, fix)

@@ -1,4 +1,4 @@
-"""What a check of a policy reports: one result a thing that was checked, each with its fix."""
+"""The report of a policy check: one result for every requirement, each with its fix."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _FIXES = {
 
 @dataclass(frozen=True, slots=True)
 class CheckResult:
-    """One thing that was checked.
+    """The result for one requirement.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class CheckResult:
 
 @dataclass(frozen=True, slots=True)
 class PolicyReport:
-    """What a check found.
+    """The results of a check.
 
     Attributes
     ----------
@@ -108,15 +108,13 @@ class PolicyReport:
             **asdict(self),
             "file": str(self.file),
             "checkpoint": None if self.checkpoint is None else str(self.checkpoint),
-            "tasks": list(self.tasks),
-            "results": [asdict(result) for result in self.results],
             "projected_s": self.projected_s,
         }
 
 
 @dataclass(slots=True)
 class Same:
-    """How often an answer was the same when only one thing was changed."""
+    """Counts of answers that differed when only one condition was changed."""
 
     asked: int = 0
     example: str = ""
@@ -142,14 +140,9 @@ class Same:
 
 
 def validity_result(answers: Sequence[Sequence[Answer]], returned: str) -> CheckResult:
-    """Whether its answers were valid actions; a step with more faults than a run tolerates is refused.
+    """Whether the answers (one sequence a step) were valid; more faults in a step than a run tolerates are refused.
 
-    Parameters
-    ----------
-    answers : sequence of answers
-        One a step.
-    returned : str
-        Type and shape.
+    ``returned`` is the type and the shape of what the policy returned.
     """
     every = [answer for part in answers for answer in part]
     faults = [answer for answer in every if isinstance(answer, PolicyFault)]

@@ -1,6 +1,6 @@
 """The policy's end of the pipes: imports the submitted file, then answers batches until the evaluator closes the pipe.
 
-``evaluator.policy.sandbox.kernel`` calls it once the sandbox is up. Whatever the policy prints goes to the host's log;
+``evaluator.policy.sandbox.kernel`` calls it once the sandbox is set up. What the policy prints goes to the host's log;
 questions and replies have pipes of their own.
 """
 
@@ -20,17 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from evaluator.policy.contract import ObservationBatch
 from evaluator.policy.faults import PolicyFault, check_maps, form_fault
-from evaluator.policy.wire import (
-    MAX_HEADER,
-    REPLIES,
-    Frame,
-    frame_parts,
-    read_batch,
-    read_frame,
-    situations_from_header,
-)
+from evaluator.policy.wire import MAX_HEADER, REPLIES, Frame, frame_parts, read_frame, read_question
 
 _TRACEBACK_LINES = 12
 _MESSAGE_CHARACTERS = 2000
@@ -119,12 +110,12 @@ def _answer(
     policy: Any, privileged: bool, header: dict[str, Any], arrays: dict[str, Any], own_folder: str
 ) -> tuple[dict[str, Any], np.ndarray[Any, Any] | None]:
     """Ask the policy; the reply's header, and the answer where there is one."""
-    batch: ObservationBatch = read_batch(header, arrays)
+    batch, situations = read_question(header, arrays)
     try:
         if header["op"] == "maps":
             answer = np.asarray(_maps_of(policy)(batch), np.float32)
         elif privileged:
-            answer = np.asarray(policy.act(batch, situations_from_header(header)))
+            answer = np.asarray(policy.act(batch, situations))
         else:
             answer = np.asarray(policy.act(batch))
     except BaseException as error:

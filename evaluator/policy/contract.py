@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
@@ -83,16 +83,12 @@ class ObservationBatch:
 
     def one(self, index: int) -> ObservationBatch:
         """The batch that holds observation ``index`` alone."""
-        pick = slice(index, index + 1)
-        return ObservationBatch(
-            self.scene[pick],
-            self.end_effector[pick],
-            self.primitive,
-            self.embodiment,
-            self.task,
-            self.step,
-            self.valid[pick],
-        )
+        return self.part(slice(index, index + 1))
+
+    def part(self, numbers: slice) -> ObservationBatch:
+        """The batch that holds some of the observations, in the order of ``numbers``."""
+        end_effector, valid = self.end_effector[numbers], self.valid[numbers]
+        return replace(self, scene=self.scene[numbers], end_effector=end_effector, valid=valid)
 
 
 @runtime_checkable

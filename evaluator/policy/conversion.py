@@ -24,39 +24,32 @@ __all__ = ["convert"]
 
 
 def convert(path: Path, output: Path | None = None, *, key: str | None = None, trust: bool = False) -> Path:
-    """Write the tensors of a pickle as safetensors.
+    """Write the tensors of a pickle as safetensors, and return the path of the new file.
 
     Parameters
     ----------
     path : Path
         What ``torch.save`` wrote.
     output : Path, optional
-        ``path`` with the suffix ``.safetensors`` by default; must not be there yet.
+        A new file; ``path`` with the suffix ``.safetensors`` by default.
     key : str, optional
-        Under which name the state dict is, where the file holds more than one.
+        Name of the state dict, where the file holds more than one.
     trust : bool
         Whether the pickle may run code.
 
-    Returns
-    -------
-    Path
-        The file that was written.
-
     Raises
     ------
-    MissingFileError
-        There is no such file.
+    MissingFileError, StorageError
+        There is no such file, or the output cannot be written.
     InputError
         It cannot be opened, or not without ``trust``; it has no state dict, or more than one and no ``key``; the output
-        is there already.
-    StorageError
-        The output cannot be written.
+        exists already.
     """
     from safetensors.torch import save
 
     target = output or path.with_suffix(".safetensors")
     if target.exists():
-        raise InputError(f"{target} is there already", hint="remove it, or name another: --output FILE", path=target)
+        raise InputError(f"{target} exists already", hint="remove it, or name another: --output FILE", path=target)
     tensors = _state_dict(_opened(path, trust), path, key)
     # Tensors that share memory are refused by the format; each is written by itself.
     write_atomic(target, save({name: tensor.detach().cpu().clone().contiguous() for name, tensor in tensors.items()}))
@@ -111,7 +104,7 @@ def _state_dict(found: Any, path: Path, key: str | None) -> Mapping[str, torch.T
 
 
 def _tensors(found: Any) -> Mapping[str, torch.Tensor] | None:
-    """``found`` as a state dict, where it is one or a network has one."""
+    """``found`` as a state dict, if it is one or is a network."""
     import torch
 
     content = found.state_dict() if isinstance(found, torch.nn.Module) else found

@@ -134,11 +134,6 @@ class PolicyHost:
         """The kept part of what the policy printed."""
         return self._output.text()
 
-    @property
-    def output_bytes(self) -> int:
-        """Bytes the policy printed so far."""
-        return self._output.total
-
     def __enter__(self) -> Self:
         try:
             self._start()
@@ -232,7 +227,7 @@ class PolicyHost:
     def _exchange(
         self, op: str, batch: ObservationBatch, shown: tuple[Situation, ...] | None, seconds: float, reply_bytes: int
     ) -> Frame | PolicyFault:
-        """The reply to one question (its arrays of at most ``reply_bytes``), from a new process if the last one died."""
+        """The reply to one question, with at most ``reply_bytes`` of arrays; a new process where the last one died."""
         left_s = self._left_s()
         if left_s <= 0:
             return self._overdraw()

@@ -1,4 +1,4 @@
-"""Which other files a policy's code consists of: the modules of its own folder that it imports, read and not run."""
+"""The other files of a policy's code: the modules of its folder that it imports. They are read, not run."""
 
 from __future__ import annotations
 

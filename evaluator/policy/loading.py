@@ -9,7 +9,7 @@ from pathlib import Path
 
 from evaluator.policy.imports import own_modules
 from evaluator.policy.named import NamedPolicy, find_named, is_reserved, listing
-from evaluator.policy.shipped import shipped_checkpoint
+from evaluator.policy.shipped import file_sha256, shipped_checkpoint
 from rema_data.errors import InputError, MissingFileError
 
 __all__ = ["NAME_LENGTH", "PolicySpec", "check_checkpoint", "digest", "resolve", "weights_of"]
@@ -46,9 +46,9 @@ def resolve(reference: str) -> PolicySpec:
     Raises
     ------
     MissingFileError
-        When the file is not there.
+        The file does not exist.
     InputError
-        When no installed policy has that name, or what follows the colon is not a class name.
+        No installed policy has that name, or what follows the colon is not a class name.
     """
     named = find_named(reference)
     if named is not None:
@@ -110,28 +110,23 @@ def weights_of(spec: PolicySpec, checkpoint: Path | None) -> Path | None:
 def digest(spec: PolicySpec, checkpoint: Path | None) -> str:
     """Identity of a policy: sha256 over its class name, its code and its weights, hexadecimal.
 
-    The code is the file and what it imports of its own (``own_modules``). A checkpoint folder counts with all its
-    files, in sorted order.
+    The code is the file and the modules of its folder that it imports (``own_modules``). A checkpoint folder counts
+    with all its files, in sorted order.
 
     Raises
     ------
     MissingFileError
-        When the code or the checkpoint is not there.
+        The code or the checkpoint does not exist.
     """
     if not spec.path.is_file():
         raise MissingFileError(f"policy file {spec.path} does not exist", hint="check the path", path=spec.path)
     total = hashlib.sha256(spec.class_name.encode())
     for path in (spec.path, *own_modules(spec.path)):
-        total.update(_file_digest(path))
+        total.update(bytes.fromhex(file_sha256(path)))
     weights = check_checkpoint(checkpoint)
     if weights is not None:
         files = sorted(path for path in weights.rglob("*") if path.is_file()) if weights.is_dir() else [weights]
         for path in files:
             total.update(path.relative_to(weights).as_posix().encode())
-            total.update(_file_digest(path))
+            total.update(bytes.fromhex(file_sha256(path)))
     return total.hexdigest()
-
-
-def _file_digest(path: Path) -> bytes:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").digest()

@@ -12,17 +12,7 @@ from pathlib import Path
 from rema_data import plugins
 from rema_data.errors import InputError
 
-__all__ = [
-    "GROUP",
-    "KINDS",
-    "PRIVILEGED_KINDS",
-    "NamedPolicy",
-    "find_named",
-    "kind_of",
-    "is_reserved",
-    "listing",
-    "policy_names",
-]
+__all__ = ["GROUP", "KINDS", "PRIVILEGED_KINDS", "NamedPolicy", "find_named", "kind_of", "policy_names"]
 
 GROUP = "rema.policies"
 """The entry points that name policies."""
@@ -74,19 +64,13 @@ def policy_names() -> list[str]:
 
 
 def find_named(name: str) -> NamedPolicy | None:
-    """The policy of that name; None where none is installed.
-
-    Raises
-    ------
-    InputError
-        The package that offers it is broken.
-    """
+    """The installed policy of that name, or None. InputError where the package that offers it is broken."""
     point = plugins.installed(GROUP).get(name)
     return None if point is None else plugins.load(point, NamedPolicy)
 
 
 def kind_of(name: str) -> str | None:
-    """Kind of the policy of that name; None where none is installed, or its package is broken."""
+    """Kind of the installed policy of that name; None where there is none, or its package is broken."""
     try:
         named = find_named(name)
     except InputError:
@@ -95,7 +79,7 @@ def kind_of(name: str) -> str | None:
 
 
 def is_reserved(name: str) -> bool:
-    """Whether a submitted policy may not be called so: an installed policy is, or a learned one's name begins it."""
+    """Whether a submitted policy may not have this name: an installed one has it, or a learned one's name begins it."""
     return name in policy_names() or kind_of(name.partition("-")[0]) == "learned"
 
 
@@ -103,12 +87,12 @@ def listing() -> str:
     """The installed policies, a line each."""
     names = policy_names()
     width = max(map(len, names), default=0)
-    return "\n".join(f"  {name:{width}}  {_about(name)}" for name in names)
-
-
-def _about(name: str) -> str:
-    try:
-        named = find_named(name)
-    except InputError as error:
-        return f"broken: {error.message}"
-    return "" if named is None else f"{named.description} ({named.kind})"
+    lines = []
+    for name in names:
+        try:
+            named = find_named(name)
+            about = "" if named is None else f"{named.description} ({named.kind})"
+        except InputError as error:
+            about = f"broken: {error.message}"
+        lines.append(f"  {name:{width}}  {about}")
+    return "\n".join(lines)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import psutil
 
-from evaluator.engines.child import signal_name
+from evaluator.engines.base import signal_name
 from evaluator.policy.faults import FaultReason
 from evaluator.policy.output import CappedOutput
 from evaluator.policy.sandbox.cleanup import CleanupShell, descendants, end_family, remove_folder
@@ -38,33 +38,6 @@ class ChildFailure(Exception):
     def __init__(self, reason: FaultReason, detail: str) -> None:
         super().__init__(detail)
         self.reason = reason
-
-
-class _Budget:
-    """Seconds to wait, counted in slices: one that was suspended meanwhile (Ctrl-Z) counts as one at most."""
-
-    def __init__(self, seconds: float, monitor: ResourceMonitor | None = None) -> None:
-        self._seconds = self._left = seconds
-        self._monitor = monitor
-
-    @property
-    def used_s(self) -> float:
-        """Seconds waited."""
-        return self._seconds - self._left
-
-    def wait(self, read: int | None = None, write: int | None = None) -> None:
-        """Return when the end can be read (written)."""
-        readable, writable = ([] if end is None else [end] for end in (read, write))
-        while True:
-            start, allowed = time.monotonic(), max(0.0, min(self._left, _SLICE_S))
-            ready = any(select.select(readable, writable, [], allowed))
-            self._left -= min(time.monotonic() - start, _SLICE_S)
-            if ready:
-                return
-            if self._monitor is not None and (excess := self._monitor.excess()):
-                raise ChildFailure(FaultReason.DIED, excess)
-            if self._left <= 0:
-                raise ChildFailure(FaultReason.TIMEOUT, f"no answer within {self._seconds:g} s")
 
 
 class ChildProcess:
@@ -121,28 +94,44 @@ class ChildProcess:
         """Send a frame, and wait ``seconds`` for one with at most ``reply_bytes`` of arrays, or raise ChildFailure."""
         if excess := self._monitor.excess_of_disk():
             raise ChildFailure(FaultReason.DIED, excess)
-        budget = _Budget(seconds, self._monitor)
+        self._limit_s = self._left_s = seconds
         try:
             for part in parts:
-                self._write(memoryview(part), budget)
-            return read_frame(lambda count: self._read(count, budget), _REPLY_HEADER, reply_bytes)
+                self._write(memoryview(part))
+            return read_frame(self._read, _REPLY_HEADER, reply_bytes)
         except (BrokenPipeError, EOFError) as error:
             raise ChildFailure(FaultReason.DIED, self._how_it_ended()) from error
         except WireError as error:
             raise ChildFailure(FaultReason.PROTOCOL, f"the reply cannot be read: {error}") from error
         finally:
-            self.waited_s += budget.used_s
+            self.waited_s += seconds - self._left_s
 
-    def _write(self, view: memoryview, budget: _Budget) -> None:
+    def _wait(self, read: tuple[int, ...] = (), write: tuple[int, ...] = ()) -> None:
+        """Return when the pipe can be read (written), or raise ChildFailure.
+
+        Time is counted in slices: one that was suspended meanwhile (Ctrl-Z) counts as one at most.
+        """
+        while True:
+            start, allowed = time.monotonic(), max(0.0, min(self._left_s, _SLICE_S))
+            ready = any(select.select(read, write, (), allowed))
+            self._left_s -= min(time.monotonic() - start, _SLICE_S)
+            if ready:
+                return
+            if excess := self._monitor.excess():
+                raise ChildFailure(FaultReason.DIED, excess)
+            if self._left_s <= 0:
+                raise ChildFailure(FaultReason.TIMEOUT, f"no answer within {self._limit_s:g} s")
+
+    def _write(self, view: memoryview) -> None:
         while view:
-            budget.wait(write=self._requests)
+            self._wait(write=(self._requests,))
             with contextlib.suppress(BlockingIOError):
                 view = view[os.write(self._requests, view[:_PIPE_BYTES]) :]
 
-    def _read(self, count: int, budget: _Budget) -> bytearray:
+    def _read(self, count: int) -> bytearray:
         data = bytearray()
         while len(data) < count:
-            budget.wait(read=self._replies)
+            self._wait(read=(self._replies,))
             with contextlib.suppress(BlockingIOError):
                 chunk = os.read(self._replies, count - len(data))
                 if not chunk:
@@ -170,9 +159,10 @@ class ChildProcess:
     def close(self) -> None:
         """Ask the process to end, then end it and everything that it started."""
         known = descendants(self._process)  # once it has ended, its children have no parent to be found by
+        self._left_s = _GOODBYE_S
         with contextlib.suppress(OSError, ChildFailure):
             for part in frame_parts({"op": "close"}):
-                self._write(memoryview(part), _Budget(_GOODBYE_S))
+                self._write(memoryview(part))
             self._await_end(_GOODBYE_S)
         self.kill(known)
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from evaluator.policy.contract import ObservationBatch
 from evaluator.scenarios import load_list
 from evaluator.sim.observation import observe
@@ -24,19 +22,7 @@ class Questions:
 
     def part(self, numbers: slice) -> Questions:
         """Some of them, in the order of ``numbers``."""
-        batch = self.batch
-        return Questions(
-            ObservationBatch(
-                np.ascontiguousarray(batch.scene[numbers]),
-                batch.end_effector[numbers],
-                batch.primitive,
-                batch.embodiment,
-                batch.task,
-                batch.step,
-                batch.valid[numbers],
-            ),
-            self.situations[numbers],
-        )
+        return Questions(self.batch.part(numbers), self.situations[numbers])
 
 
 def questions(task: str, count: int) -> list[Questions]:

@@ -22,20 +22,14 @@ from rema_data.manifests import manifests_dir, read_manifest
 from rema_data.release.folder import downloads_folder, local_sources
 from rema_data.storage import write_atomic
 
-__all__ = ["CHECKPOINTS", "publish_checkpoint", "shipped_checkpoint", "shipped_policies"]
+__all__ = ["CHECKPOINTS", "file_sha256", "publish_checkpoint", "shipped_checkpoint", "shipped_policies"]
 
 CHECKPOINTS = "checkpoints"
 """Folder of networks, inside a folder of releases; and, with a suffix, the name of their manifest."""
 
 
 def shipped_policies() -> dict[str, tuple[str, dict[str, str]]]:
-    """Folder, and sha256 of every file in it, of each policy that has networks of its own.
-
-    Raises
-    ------
-    IntegrityError
-        The manifest cannot be read.
-    """
+    """Folder, and sha256 of every file in it, of each policy in the manifest, or IntegrityError."""
     path = _manifest()
     if not path.is_file():
         return {}
@@ -54,7 +48,7 @@ def shipped_checkpoint(policy: str) -> Path | None:
     MissingFileError
         They are not on this machine.
     IntegrityError
-        They are, but wherever they lie a file is not the one that the manifest names, or is one too many.
+        They are, but in every place a file differs from the manifest or is not in it.
     """
     entry = shipped_policies().get(policy)
     if entry is None:
@@ -82,32 +76,14 @@ def shipped_checkpoint(policy: str) -> Path | None:
 
 
 def publish_checkpoint(policy: str, folder: str, place: Path) -> None:
-    """Enter the networks in ``place`` as those of a policy.
-
-    Parameters
-    ----------
-    policy : str
-    folder : str
-        Below ``checkpoints``.
-    place : Path
-        Where they lie.
-
-    Raises
-    ------
-    StorageError
-        The manifest may not be written.
-    """
-    names = sorted(_networks(place))
+    """Enter the networks in ``place`` in the manifest as those of a policy: ``folder`` is below ``checkpoints``."""
+    files = {name: file_sha256(place / name) for name in sorted(_networks(place))}
     path = _manifest()
     path.parent.mkdir(parents=True, exist_ok=True)
     with FileLock(path.with_name(f".{path.name}.lock")):  # held for milliseconds: wait for it
-        _enter(policy, folder, place, names)
-
-
-def _enter(policy: str, folder: str, place: Path, names: list[str]) -> None:
-    known = shipped_policies() | {policy: (folder, {name: _sha256(place / name) for name in names})}
-    entries = {name: {"folder": where, "files": files} for name, (where, files) in sorted(known.items())}
-    write_atomic(_manifest(), json.dumps({"policies": entries}, indent=1) + "\n")
+        known = sorted((shipped_policies() | {policy: (folder, files)}).items())
+        entries = {name: {"folder": where, "files": digests} for name, (where, digests) in known}
+        write_atomic(path, json.dumps({"policies": entries}, indent=1) + "\n")
 
 
 def _manifest() -> Path:
@@ -122,14 +98,14 @@ def _check(place: Path, files: Mapping[str, str]) -> None:
             hint=f"move it elsewhere, and name its folder with --checkpoint; or delete it: {place / name}",
             path=str(place / name),
         )
-    for name, wanted in files.items():
-        found = _sha256(place / name)
-        if found != wanted:
+    for name, expected in files.items():
+        found = file_sha256(place / name)
+        if found != expected:
             raise IntegrityError(
-                f"{place / name} is not the published one: its sha256 is {found[:12]}..., not {wanted[:12]}...",
+                f"{place / name} is not the published one: its sha256 is {found[:12]}..., not {expected[:12]}...",
                 hint=f"restore it (in a clone: git checkout -- releases/checkpoints), or delete {place}",
                 path=str(place / name),
-                expected=wanted,
+                expected=expected,
                 found=found,
             )
 
@@ -139,6 +115,7 @@ def _networks(place: Path) -> set[str]:
     return {path.name for path in place.iterdir() if path.suffix in (".safetensors", ".json")}
 
 
-def _sha256(path: Path) -> str:
+def file_sha256(path: Path) -> str:
+    """sha256 of a file, hexadecimal; ``rema_data.release.seal`` has it too, but imports much that a policy need not."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -18,7 +18,7 @@ import json
 import math
 import struct
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -33,15 +33,16 @@ __all__ = [
     "WireError",
     "batch_frame",
     "frame_parts",
-    "read_batch",
     "read_frame",
-    "situations_from_header",
+    "read_question",
 ]
 
 MAX_HEADER = 16 << 20
 """Longest header, bytes: room for the situations of a large batch."""
 REPLIES = {"act": "acted", "maps": "mapped"}
 """Questions about a batch, and the replies to them."""
+_STEP = ("primitive", "embodiment", "task", "step")
+"""What a question says of its step."""
 _LENGTH = struct.Struct(">I")
 _AXES = 8
 _NUMBERS = ("i2", "u2", "i4", "u4", "i8", "u8", "f2", "f4", "f8")
@@ -92,28 +93,16 @@ def read_frame(read: Read, max_header: int, max_bytes: int) -> Frame:
     if not isinstance(entries, list):
         raise WireError("header names no arrays")
     described = [_described(entry) for entry in entries]
-    if len({one.name for one in described}) != len(described):
+    if len({name for name, *_ in described}) != len(described):
         raise WireError("header names an array twice")
-    if sum(one.bound for one in described) > max_bytes:
+    # An axis of length 0 counts as 1, so that the others count too.
+    bounds = (dtype.itemsize * math.prod(max(size, 1) for size in shape) * n for _, dtype, shape, n in described)
+    if sum(bounds) > max_bytes:
         raise WireError("arrays are too large")
-    return header, {one.name: _array(one, read) for one in described}
+    return header, {name: _array(read, *rest) for name, *rest in described}
 
 
-class _Described(NamedTuple):
-    """An array as a header announces it, checked."""
-
-    name: str
-    dtype: np.dtype[Any]
-    shape: tuple[int, ...]
-    repeat: int
-
-    @property
-    def bound(self) -> int:
-        """Bytes that it takes; an axis of length 0 counts as 1, so that the others count too."""
-        return self.dtype.itemsize * math.prod(max(size, 1) for size in self.shape) * self.repeat
-
-
-def _described(entry: Any) -> _Described:
+def _described(entry: Any) -> tuple[str, np.dtype[Any], tuple[int, ...], int]:
     """An entry of ``arrays``, checked; no value in it is trusted to have the right type."""
     if not isinstance(entry, list) or len(entry) != 4:
         raise WireError("an array is not described by four values")
@@ -124,31 +113,23 @@ def _described(entry: Any) -> _Described:
         raise WireError("an array has no shape")
     if not _is_count(repeat) or repeat < 1 or (repeat > 1 and not shape):
         raise WireError("an array is repeated an invalid number of times")
-    return _Described(name, np.dtype(dtype), tuple(shape), repeat)
+    return name, np.dtype(dtype), tuple(shape), repeat
 
 
 def _is_count(value: Any) -> bool:
     return type(value) is int and value >= 0  # neither True nor 2.0
 
 
-def _array(described: _Described, read: Read) -> Array:
-    data = bytearray(read(described.dtype.itemsize * math.prod(described.shape)))
-    array = np.frombuffer(data, described.dtype).reshape(described.shape)
-    return np.repeat(array, described.repeat, axis=0) if described.repeat > 1 else array
+def _array(read: Read, dtype: np.dtype[Any], shape: tuple[int, ...], repeat: int) -> Array:
+    array = np.frombuffer(bytearray(read(dtype.itemsize * math.prod(shape))), dtype).reshape(shape)
+    return np.repeat(array, repeat, axis=0) if repeat > 1 else array
 
 
 def batch_frame(
     number: int, batch: ObservationBatch, situations: tuple[Situation, ...] | None, op: str = "act"
 ) -> Iterator[bytes | memoryview]:
     """The question ``number`` about this batch: ``op`` is one of ``REPLIES``."""
-    header: dict[str, Any] = {
-        "op": op,
-        "number": number,
-        "primitive": batch.primitive,
-        "embodiment": batch.embodiment,
-        "task": batch.task,
-        "step": batch.step,
-    }
+    header: dict[str, Any] = {"op": op, "number": number, **{name: getattr(batch, name) for name in _STEP}}
     if situations is not None:
         header["situations"] = [to_dict(situation) for situation in situations]
     arrays = {
@@ -167,22 +148,10 @@ def _once_if_equal(array: Array) -> tuple[Array, int]:
     return array, 1
 
 
-def read_batch(header: dict[str, Any], arrays: dict[str, Array]) -> ObservationBatch:
-    """The batch of a question."""
-    return ObservationBatch(
-        arrays["scene"],
-        arrays["end_effector"],
-        header["primitive"],
-        header["embodiment"],
-        header["task"],
-        header["step"],
-        arrays["valid"],
-    )
-
-
-def situations_from_header(header: dict[str, Any]) -> tuple[Situation, ...]:
-    """The situations of a question to a privileged policy."""
-    return tuple(_situation(row) for row in header["situations"])
+def read_question(header: dict[str, Any], arrays: dict[str, Array]) -> tuple[ObservationBatch, tuple[Situation, ...]]:
+    """The batch of a question, and the situations that a privileged policy is shown."""
+    fields: dict[str, Any] = {**arrays, **{name: header[name] for name in _STEP}}
+    return ObservationBatch(**fields), tuple(_situation(row) for row in header.get("situations", ()))
 
 
 def _situation(row: dict[str, Any]) -> Situation:

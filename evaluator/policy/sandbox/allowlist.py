@@ -43,43 +43,20 @@ _FOLDER_VARIABLES = ("LD_LIBRARY_PATH", "PYTHONPATH", "CUDA_HOME", "CONDA_PREFIX
 
 @dataclass(frozen=True, slots=True)
 class Allowed:
-    """Absolute paths; a folder stands for all that is in it.
+    """Absolute paths; a folder stands for all that is in it."""
 
-    Attributes
-    ----------
-    read : tuple of str
-        May be read, and mapped as code.
-    listed : tuple of str
-        Folders whose entries may be listed, but not read, except what ``read`` says of them.
-    devices : tuple of str
-        May be read and written.
-    write : tuple of str
-        May be read, written, made and removed in.
-    """
-
-    read: tuple[str, ...]
-    listed: tuple[str, ...]
-    devices: tuple[str, ...]
-    write: tuple[str, ...]
+    read: tuple[str, ...]  # may be read, and mapped as code
+    listed: tuple[str, ...]  # folders whose entries may be listed; what ``read`` names of them may be read
+    devices: tuple[str, ...]  # may be read and written
+    write: tuple[str, ...]  # may be read and written; entries may be made and removed
 
 
 def allowed_for(
     policy: Path, checkpoint: Path | None, temporary: Path, environment: Mapping[str, str], hidden: Iterable[Path] = ()
 ) -> Allowed:
-    """What the process of a policy needs, and nothing of what it must not see.
+    """What the process of a policy needs, without ``hidden``, the scenario lists and the caches of rema.
 
-    Parameters
-    ----------
-    policy : Path
-        Its file.
-    checkpoint : Path or None
-        File or folder.
-    temporary : Path
-        Its own folder.
-    environment : mapping
-        Of its process: library and module paths are read from it.
-    hidden : iterable of Path
-        Must stay unseen, besides the scenario lists and the caches of rema.
+    Library and module paths are read from the ``environment`` of the process.
     """
     survey = _Survey(frozenset(path.resolve() for path in (*secrets(), *hidden)))
     for root in (*_SYSTEM, *(f"/etc/{name}" for name in _ETC)):
@@ -116,13 +93,7 @@ def _python_folders(environment: Mapping[str, str]) -> Iterator[Path]:
 
 
 class _Survey:
-    """Collects what of some folders may be read.
-
-    Parameters
-    ----------
-    unseen : frozenset of Path
-        Resolved.
-    """
+    """Collects what may be read of some folders, without the resolved paths ``unseen``."""
 
     def __init__(self, unseen: frozenset[Path]) -> None:
         self.read: list[str] = []

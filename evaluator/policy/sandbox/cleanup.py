@@ -20,15 +20,7 @@ _SCRIPT = 'read -r goodbye && exit; kill -s KILL -- "-$1"; chmod -R u+rwx -- "$2
 
 
 class CleanupShell:
-    """A shell that outlives the evaluator for a moment, to end a process group and to remove a folder.
-
-    Parameters
-    ----------
-    group : int
-        Process group of the policy.
-    folder : Path
-        Its working folder.
-    """
+    """A shell that outlives the evaluator for a moment, to end the policy's process group and to remove its folder."""
 
     def __init__(self, group: int, folder: Path) -> None:
         reader, self._lifeline = os.pipe()  # only the evaluator holds the write end: it is not inherited
@@ -63,17 +55,8 @@ def descendants(process: subprocess.Popen[bytes]) -> list[psutil.Process]:
 
 
 def end_family(process: subprocess.Popen[bytes], folder: Path, known: Iterable[psutil.Process] = ()) -> None:
-    """End ``process``, its group and everything else that it started, and remove its working ``folder``.
+    """End ``process``, its group, its ``known`` and other descendants, and remove its working ``folder``.
 
-    Parameters
-    ----------
-    process : subprocess.Popen
-    folder : Path
-    known : iterable of psutil.Process
-        Its descendants, listed while it was alive.
-
-    Notes
-    -----
     A process that left the group is found by its ancestors, or by the temporary folder that it inherited. Where the
     sandbox does not deny new processes, one can escape: it empties its environment, and its parent and the policy end
     first.

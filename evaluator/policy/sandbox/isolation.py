@@ -2,9 +2,9 @@
 
 ::
 
-    L1   a process of its own: clean environment, limits, deadlines, killed by group
+    L1   a separate process: clean environment, limits, deadlines, killed by group
     L2   and Landlock and seccomp deny it files, network, other processes, signals
-    L3   and a wrapper (bwrap, nsjail, podman) gave it namespaces of its own
+    L3   and a wrapper (bwrap, nsjail, podman) gave it separate namespaces
 
 A level lists what was tried and denied; it is not a guarantee: see ``docs/threat_model.md``.
 """
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -81,13 +82,8 @@ class Isolation:
 def isolation_of(report: Mapping[str, Any], sandbox: str | None = None) -> Isolation:
     """The level that a policy's process reached.
 
-    Parameters
-    ----------
-    report : mapping
-        What the process reported before it read anything of the policy: ``restrictions`` (name, active, detail) and
-        ``namespaces`` (kind -> identity).
-    sandbox : str or None
-        The wrapper's command.
+    It reported ``restrictions`` (name, active, detail) and ``namespaces`` (kind -> identity) before it read anything of
+    the policy. ``sandbox`` is the wrapper's command.
     """
     found = [Restriction("process", True, "own process, session, environment and temporary folder")]
     found += [Restriction(str(name), active is True, str(detail)) for name, active, detail in report["restrictions"]]
@@ -101,14 +97,11 @@ def _namespaces(found: Mapping[str, str], sandbox: str | None) -> Restriction:
     """Whether the process sees other files, networks and processes than the evaluator does, for any wrapper."""
     if sandbox is None:
         return Restriction("namespaces", False, "no wrapper (--sandbox)")
-    shared = [kind for kind in NAMESPACES if kind not in found or found[kind] == _own_namespace(kind)]
+    own = {}
+    for kind in NAMESPACES:
+        with suppress(OSError):
+            own[kind] = os.readlink(f"/proc/self/ns/{kind}")
+    shared = [kind for kind in NAMESPACES if kind not in found or found[kind] == own.get(kind)]
     if shared:
         return Restriction("namespaces", False, f"the wrapper shares with the evaluator: {', '.join(shared)}")
     return Restriction("namespaces", True, ", ".join(NAMESPACES))
-
-
-def _own_namespace(kind: str) -> str | None:
-    try:
-        return os.readlink(f"/proc/self/ns/{kind}")
-    except OSError:
-        return None

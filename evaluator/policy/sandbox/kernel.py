@@ -200,11 +200,11 @@ def _tried(landlock: tuple[bool, str], filtered: tuple[bool, str]) -> list[tuple
     """Try everything that should be denied: by what it is denied, or why it is not."""
     found = []
     for name, (builders, probe) in _PROBES.items():
-        told = {"landlock": landlock, "seccomp": filtered}
-        by = " and ".join(told[builder][1] for builder in builders if told[builder][0])
-        why = "; ".join(told[builder][1] for builder in builders if not told[builder][0])
+        by_library = {"landlock": landlock, "seccomp": filtered}
+        by = " and ".join(by_library[builder][1] for builder in builders if by_library[builder][0])
+        why = "; ".join(by_library[builder][1] for builder in builders if not by_library[builder][0])
         try:
-            up = probe() is _NOBODY
+            up = probe() is _UNSEEN
         except PermissionError:
             up = True
         found.append((name, up, (by or "denied already") if up else why or "it was tried and not denied"))
@@ -229,17 +229,17 @@ def _fork() -> object:
 def _signal_parent() -> object:
     parent = os.getppid()
     if not parent:
-        return _NOBODY
+        return _UNSEEN
     os.kill(parent, 0)
     return None
 
 
 def _inspect_parent() -> object:
     parent = os.getppid()
-    return os.stat(f"/proc/{parent}/fd/0") if parent else _NOBODY
+    return os.stat(f"/proc/{parent}/fd/0") if parent else _UNSEEN
 
 
-_NOBODY = object()
+_UNSEEN = object()
 """There is no other process in sight."""
 _PROBES: dict[str, tuple[tuple[str, ...], Callable[[], object]]] = {
     "files": (("landlock",), lambda: os.listdir("/")),

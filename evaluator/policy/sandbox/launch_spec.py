@@ -30,34 +30,14 @@ _RUN_FILE = "run.json"
 
 @dataclass(frozen=True, slots=True)
 class LaunchSpec:
-    """How the process of a policy is started.
+    """How the process of a policy is started. InputError where the wrapper's command cannot be used."""
 
-    Attributes
-    ----------
-    policy : Path
-        Its file, absolute.
-    checkpoint : Path or None
-        Absolute.
-    limits : PolicyLimits
-    run : Path or None
-        Folder of the run, which the policy must not read.
-    confine : bool
-        Whether the kernel restricts the process (Landlock, seccomp).
-    sandbox : str or None
-        A wrapper's command, see ``evaluator.policy.sandbox.wrapper``.
-
-    Raises
-    ------
-    InputError
-        The wrapper's command cannot be used.
-    """
-
-    policy: Path
-    checkpoint: Path | None = None
+    policy: Path  # its file, absolute
+    checkpoint: Path | None = None  # absolute
     limits: PolicyLimits = field(default_factory=PolicyLimits)
-    run: Path | None = None
-    confine: bool = True
-    sandbox: str | None = None
+    run: Path | None = None  # folder of the run, which the policy must not read
+    confine: bool = True  # whether the kernel restricts the process (Landlock, seccomp)
+    sandbox: str | None = None  # a wrapper's command, see ``evaluator.policy.sandbox.wrapper``
 
     def __post_init__(self) -> None:
         check_sandbox(self.sandbox)
@@ -100,7 +80,7 @@ class LaunchSpec:
         }
 
     def orders(self, temporary: Path) -> dict[str, Any]:
-        """What ``evaluator.policy.sandbox.kernel`` is told."""
+        """The first message to ``evaluator.policy.sandbox.kernel``."""
         limits = {
             "RLIMIT_CORE": 0,
             "RLIMIT_DATA": self.limits.memory,

@@ -16,25 +16,17 @@ _BLOCK = 512  # bytes of st_blocks, on every file system
 
 
 class ResourceMonitor:
-    """Compares what a process and its descendants use with what they may.
-
-    Parameters
-    ----------
-    pid : int
-    folder : Path
-        The temporary folder.
-    limits : PolicyLimits
-    """
+    """Compares the memory of a process and its descendants, and its temporary folder, with the limits."""
 
     def __init__(self, pid: int, folder: Path, limits: PolicyLimits) -> None:
         self._pid, self._folder, self._limits = pid, folder, limits
 
     def excess(self) -> str | None:
-        """What is exceeded, in words, or None."""
+        """The limit that is exceeded, in words, or None."""
         return self.excess_of_disk() or self._excess_of_memory()
 
     def excess_of_disk(self) -> str | None:
-        """What is exceeded in the temporary folder, in words, or None."""
+        """As ``excess``, of the temporary folder alone."""
         size, count, folders = 0, 0, [str(self._folder)]
         while folders:
             with suppress(OSError), os.scandir(folders.pop()) as entries:

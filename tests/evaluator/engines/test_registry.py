@@ -18,7 +18,7 @@ from tests.evaluator.fakes import fake_backend, fake_config
 
 
 class OwnEngine(InlineEngine):
-    """An engine of somebody else, with an address."""
+    """An engine of another package, with an address."""
 
     place = "cluster"
     workers = 5
@@ -39,7 +39,7 @@ def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(folder.parent))
 
 
-def test_an_engine_of_somebody_else_plays_a_run(own: None, fake_home: Path) -> None:
+def test_an_engine_of_another_package_runs_an_evaluation(own: None, fake_home: Path) -> None:
     assert "own" in engine_names() and make_engine("own", address="here:1").workers == 5
     config = fake_config(fake_home / "run", engine="own", address="here:1", episodes=5, audit_share=0.0)
     assert run_evaluation(config, backend=fake_backend()).summary["episodes"] == 5

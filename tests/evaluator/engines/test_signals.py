@@ -8,7 +8,8 @@ import signal
 
 import pytest
 
-from evaluator.engines.child import call_in_child, signal_name
+from evaluator.engines.base import signal_name
+from evaluator.engines.child import call_in_child
 from rema_data.errors import InfrastructureError
 
 ODD = signal.SIGRTMIN + 6 if hasattr(signal, "SIGRTMIN") else signal.SIGTERM

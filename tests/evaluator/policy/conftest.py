@@ -38,9 +38,9 @@ def sandbox_is_possible() -> bool:
 
 
 def skip_without_sandbox(host: PolicyHost) -> None:
-    """Skip where the machine cannot put up the walls; where it can, walls that are down fail the test."""
+    """Skip where the machine has no kernel sandbox; where it has one, level L1 fails the test."""
     if host.isolation.level == "L1":
-        assert not sandbox_is_possible(), f"this machine has what the walls need, and yet: {host.isolation}"
+        assert not sandbox_is_possible(), f"this machine has Landlock and libseccomp, but: {host.isolation}"
         pytest.skip(str(host.isolation))
 
 

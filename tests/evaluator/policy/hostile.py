@@ -1,7 +1,7 @@
 """Policies that try what a policy must not do, each in every way that its author could think of.
 
-Every one answers a valid action whose angle says how many of its tries succeeded: 0 is what is wanted. None is ever to
-be run outside the walls: what they try on the evaluator is harmless, but it is tried.
+Every one answers a valid action whose angle says how many of its tries succeeded: 0 is the goal. Run them only
+in the sandbox: what they try on the evaluator is harmless, but they do try it.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class ReadsScenarios(Hostile):
         yield lambda: os.link(files[0], Path(tempfile.gettempdir(), "hard"))
 
 
-class InspectsJudge(Hostile):
+class InspectsEvaluator(Hostile):
     """Reads the memory, the environment and the open files of the process that started it."""
 
     def tries(self) -> Iterable[Callable[[], object]]:
@@ -93,7 +93,7 @@ class InspectsJudge(Hostile):
         yield lambda: self.call("process_vm_readv", os.getppid(), vector, 1, vector, 1, 0)
 
 
-class SignalsJudge(Hostile):
+class SignalsEvaluator(Hostile):
     """Signals the process that started it, and lowers what that may use."""
 
     def tries(self) -> Iterable[Callable[[], object]]:
@@ -275,7 +275,7 @@ class FlipsPrivilege(Hostile):
         super().__init__(checkpoint, device)
         assert checkpoint is not None
         FlipsPrivilege.privileged = checkpoint.read_text() != ""
-        checkpoint.write_text("started before")  # behind the walls it would have to guess, by the clock for instance
+        checkpoint.write_text("started before")  # in the sandbox it would have to guess, by the clock for instance
 
     def act(self, observations: Any, situations: Any = ()) -> np.ndarray:
         if not situations:

@@ -102,10 +102,10 @@ def reader(write_policy: WritePolicy) -> PolicySpec:
 def test_manifests_caches_and_runs_beside_the_policy(
     reader: PolicySpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Denied by the kernel, and the policy's own data is not."""
+    """The kernel denies them, and not the policy's own data."""
     hidden = filled(
         tmp_path,
-        {("manifests", "list"), ("home", "bank"), ("runs", "now", "run.json"), ("runs", "before", "run.json")},
+        {("manifests", "list"), ("home", "cache"), ("runs", "now", "run.json"), ("runs", "before", "run.json")},
     )
     filled(tmp_path, {("data", "x.npz")})
     monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))

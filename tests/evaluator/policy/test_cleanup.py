@@ -1,4 +1,4 @@
-"""Nothing that a policy started outlives its evaluator, and no folder of its either."""
+"""Nothing that a policy started outlives its evaluator, and neither does its folder."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def wait_until(seconds: float, condition: object) -> bool:
     return True
 
 
-def test_a_family_that_strayed_ends_with_the_policy(write_policy: WritePolicy) -> None:
+def test_processes_that_left_the_group_end_with_the_policy(write_policy: WritePolicy) -> None:
     mark = f"60{os.getpid()}"
     spec = write_policy(FAMILY, top=f"MARK = {mark!r}")
     with PolicyHost(spec, None, confine=False) as host:
@@ -61,7 +61,7 @@ def test_a_family_that_strayed_ends_with_the_policy(write_policy: WritePolicy) -
     assert wait_until(2, lambda: not sleepers(mark))
 
 
-def test_killed_judge_leaves_neither_processes_nor_folders(
+def test_a_killed_evaluator_leaves_neither_processes_nor_folders(
     write_policy: WritePolicy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     mark = f"61{os.getpid()}"
@@ -82,7 +82,7 @@ def test_killed_judge_leaves_neither_processes_nor_folders(
     assert wait_until(5, lambda: not list((tmp_path / "tmp").glob("rema-policy-*")))
 
 
-def test_no_guard_and_no_folder_stays(write_policy: WritePolicy) -> None:
+def test_no_cleanup_shell_and_no_folder_stays(write_policy: WritePolicy) -> None:
     spec = write_policy("return good")
     before = {child.pid for child in psutil.Process().children()}
     descriptors = psutil.Process().num_fds()
@@ -113,7 +113,7 @@ def test_a_folder_nested_without_end_is_removed(tmp_path: Path) -> None:
     assert not folder.exists()
 
 
-def test_a_suspended_judge_charges_no_timeout(write_policy: WritePolicy, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_suspended_evaluator_charges_no_timeout(write_policy: WritePolicy, monkeypatch: pytest.MonkeyPatch) -> None:
     clock, leap = time.monotonic, [0.0]
 
     def leaping() -> float:
@@ -127,8 +127,8 @@ def test_a_suspended_judge_charges_no_timeout(write_policy: WritePolicy, monkeyp
     order = {"op": "load", "path": str(spec.path), "class_name": "Policy"}
     monkeypatch.setattr(evaluator.policy.process.time, "monotonic", leaping)
     try:
-        child.ask(frame_parts(launch.orders(child.folder), {}), 50.0, 0)
-        header, _ = child.ask(frame_parts({**order, "checkpoint": None, "device": "cpu"}, {}), 50.0, 0)
+        child.ask(frame_parts(launch.orders(child.folder)), 50.0, 0)
+        header, _ = child.ask(frame_parts({**order, "checkpoint": None, "device": "cpu"}), 50.0, 0)
         assert header["ok"] is True
     finally:
         monkeypatch.undo()

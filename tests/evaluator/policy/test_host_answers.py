@@ -1,4 +1,4 @@
-"""Answers and broken promises of one batch."""
+"""Valid and invalid answers to one batch."""
 
 from __future__ import annotations
 

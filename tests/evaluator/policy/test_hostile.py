@@ -1,4 +1,4 @@
-"""Hostile policies end as counted failures or gain nothing; the evaluator lives on, and nothing of them stays."""
+"""Hostile policies end as counted failures or gain nothing; the evaluator survives, and nothing of them stays."""
 
 from __future__ import annotations
 
@@ -52,18 +52,18 @@ def _nothing_stays(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest
 
 
 @pytest.fixture(scope="module")
-def _walls_stand() -> None:
+def _sandboxed() -> None:
     with PolicyHost(resolve("random"), None) as host:
         skip_without_sandbox(host)
 
 
-@pytest.mark.usefixtures("_walls_stand")
+@pytest.mark.usefixtures("_sandboxed")
 @pytest.mark.parametrize(
     ("name", "harmless"),
     [
         ("ReadsScenarios", 1),  # a link of its own that leads nowhere
-        ("InspectsJudge", 0),
-        ("SignalsJudge", 0),
+        ("InspectsEvaluator", 0),
+        ("SignalsEvaluator", 0),
         ("OpensSockets", 0),
         ("StartsProcesses", 0),
         ("ChangesFiles", 0),
@@ -80,8 +80,8 @@ def test_what_is_denied(name: str, harmless: int, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["ReadsScenarios", "OpensSockets"])
-def test_without_walls_the_same_policies_succeed(name: str) -> None:
-    """So what is denied above is denied by the walls."""
+def test_without_the_sandbox_the_same_policies_succeed(name: str) -> None:
+    """So the sandbox denies what is denied above."""
     with PolicyHost(policy(name), None, "cpu", PATIENT, confine=False) as host:
         assert host.isolation.level == "L1"
         assert min(successes(host.act(make_batch(1)))) > 1
@@ -141,7 +141,7 @@ def test_what_it_remembers_is_gone_with_its_process() -> None:
 
 @pytest.mark.parametrize("name", ["CountsQuestions", "RemembersObservations"])
 def test_answers_by_the_order_of_the_questions_change_with_it(name: str) -> None:
-    """Nothing here stops them; that the same question is answered otherwise is what the order of a run shows."""
+    """The sandbox does not stop them; the order of a run shows that the same question gets another answer."""
     batch = make_batch(4)
     with PolicyHost(policy(name), None, "cpu", PATIENT) as host:
         first, again = host.act(batch), host.act(batch)
@@ -222,7 +222,7 @@ def test_a_run_of_nothing_but_faults_ends_with_each_counted(name: str, fake_home
     assert summary["eligible"] == summary["policy_errors"] == 3 and summary["infra_errors"] == 0
 
 
-def test_the_judge_reads_neither_code_nor_weights() -> None:
+def test_the_evaluator_reads_neither_code_nor_weights() -> None:
     """It runs a policy without importing it, torch, or the reader of its weights."""
     code = (
         "import sys\nfrom evaluator.policy import PolicyHost, resolve\n"

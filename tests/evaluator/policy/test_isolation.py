@@ -1,4 +1,4 @@
-"""The level that is recorded: never above what was found, whatever was asked for."""
+"""The level that is recorded: never above what the process tried and found denied."""
 
 from __future__ import annotations
 
@@ -42,19 +42,19 @@ NOTHING = {"bwrap": "bwrap --ro-bind / / true", "podman": "podman run --rm --net
     foreign=st.sets(st.sampled_from(NAMESPACES)),
     sandbox=st.sampled_from([None, "bwrap"]),
 )
-def test_the_level_is_the_lowest_that_all_its_walls_reach(up: set[str], foreign: set[str], sandbox: str | None) -> None:
-    walls = [[name, name in up, "so it is"] for name in KERNEL_RESTRICTIONS]
+def test_the_level_follows_from_the_restrictions(up: set[str], foreign: set[str], sandbox: str | None) -> None:
+    restrictions = [[name, name in up, "so it is"] for name in KERNEL_RESTRICTIONS]
     namespaces = {
         kind: FOREIGN[kind] if kind in foreign else os.readlink(f"/proc/self/ns/{kind}") for kind in NAMESPACES
     }
-    found = isolation_of({"restrictions": walls, "namespaces": namespaces}, sandbox)
+    found = isolation_of({"restrictions": restrictions, "namespaces": namespaces}, sandbox)
     if up != set(KERNEL_RESTRICTIONS):
         assert found.level == "L1"
     else:
         assert found.level == ("L3" if sandbox and foreign == set(NAMESPACES) else "L2")
-    told = json.loads(json.dumps(found.to_dict()))
-    assert set(told["up"]) == {"process", *up} | ({"namespaces"} if "namespaces" in told["up"] else set())
-    assert set(told["up"]).isdisjoint(told["down"]) and all(told["down"].values())
+    stored = json.loads(json.dumps(found.to_dict()))
+    assert set(stored["up"]) == {"process", *up} | ({"namespaces"} if "namespaces" in stored["up"] else set())
+    assert set(stored["up"]).isdisjoint(stored["down"]) and all(stored["down"].values())
     assert found.level in str(found)
 
 
@@ -65,20 +65,20 @@ def test_the_level_is_the_lowest_that_all_its_walls_reach(up: set[str], foreign:
         ("pyseccomp", {"network", "processes"}, "pyseccomp is not installed"),
     ],
 )
-def test_without_a_library_its_walls_are_down_and_the_policy_runs(
+def test_without_a_library_its_restrictions_are_down_and_the_policy_runs(
     library: str, down: set[str], word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / f"{library}.py").write_text(f"raise ImportError('absent', name={library!r})")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     with PolicyHost(resolve("random"), None, "cpu", LIMITS) as host:
-        told = host.isolation.to_dict()
-        assert told["level"] == "L1"
-        assert down <= set(told["down"])
-        assert all(word in told["down"][wall] for wall in down)
+        stored = host.isolation.to_dict()
+        assert stored["level"] == "L1"
+        assert down <= set(stored["down"])
+        assert all(word in stored["down"][name] for name in down)
         assert reasons(host.act(make_batch(2))) == ["ok", "ok"]
 
 
-def test_walls_that_were_not_asked_for(write_policy: WritePolicy) -> None:
+def test_a_sandbox_that_was_not_asked_for(write_policy: WritePolicy) -> None:
     with pytest.raises(InputError, match="not known before"):
         _ = PolicyHost(write_policy("return good"), None).isolation
     with PolicyHost(write_policy("return good"), None, "cpu", LIMITS, confine=False) as host:
@@ -87,12 +87,12 @@ def test_walls_that_were_not_asked_for(write_policy: WritePolicy) -> None:
         assert {"process", "memory", "disk", "descriptors"} == set(host.isolation.to_dict()["up"])
 
 
-def test_a_wrapper_that_wraps_nothing_earns_nothing() -> None:
+def test_a_wrapper_that_wraps_nothing_raises_no_level() -> None:
     with PolicyHost(resolve("random"), None, "cpu", LIMITS, sandbox="env REMA_WRAPPED=1") as host:
-        told = host.isolation.to_dict()
-        assert told["level"] != "L3"
-        assert "shares with the evaluator" in told["down"]["namespaces"]
-        assert told["sandbox"] == "env REMA_WRAPPED=1"
+        stored = host.isolation.to_dict()
+        assert stored["level"] != "L3"
+        assert "shares with the evaluator" in stored["down"]["namespaces"]
+        assert stored["sandbox"] == "env REMA_WRAPPED=1"
         assert reasons(host.act(make_batch(1))) == ["ok"]
 
 
@@ -112,9 +112,9 @@ def test_a_wrapper_with_namespaces_of_its_own(wrapper: str, write_policy: WriteP
     lists = str(manifests_dir() / "scenarios")
     spec = write_policy(f"good[:, 2] = os.path.exists({lists!r}) + 2 * (os.getpid() > 100)\nreturn good")
     with PolicyHost(spec, None, "cpu", LIMITS, sandbox=wrapper) as host:
-        told = host.isolation.to_dict()
-        assert told["level"] == ("L3" if sandbox_is_possible() else "L1")
-        assert told["up"].get("namespaces") == "mnt, net, pid"
+        stored = host.isolation.to_dict()
+        assert stored["level"] == ("L3" if sandbox_is_possible() else "L1")
+        assert stored["up"].get("namespaces") == "mnt, net, pid"
         answers = host.act(make_batch(1))
         assert all(isinstance(answer, int) and answer % 16 == 0 for answer in answers)
 

@@ -1,4 +1,4 @@
-"""The policy's process is killed by somebody else in the middle of a run: nothing of it is in the rows."""
+"""The policy's process is killed from outside in the middle of a run: the rows do not show it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ return [[20 + cell // 16 % 20, 20 + cell // 320 % 20, cell % 16] for cell in cel
 
 
 class Killer(Silent):
-    """Kills the policy's process between two questions, and once more while it thinks; then interrupts the run."""
+    """Kills the policy's process between two questions, and again while it computes; then interrupts the run."""
 
     def __init__(self, interrupt: bool) -> None:
         self.interrupt = interrupt

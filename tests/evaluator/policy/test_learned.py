@@ -1,4 +1,4 @@
-"""Learned policies inside the walls: torch and OpenVINO find what they need, and a pickle is not opened."""
+"""Learned policies in the sandbox: torch and OpenVINO find what they need, and a pickle is not opened."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _pickled(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("damage", "said", "mends"),
+    ("damage", "said", "fixes"),
     [
         (_truncated, "truncated, damaged", "rema train"),
         (_of_another_architecture, "another architecture", "rema train"),
@@ -70,15 +70,15 @@ def _pickled(folder: Path) -> None:
     ],
 )
 def test_a_checkpoint_that_cannot_be_used(
-    networks: Path, tmp_path: Path, damage: Callable[[Path], None], said: str, mends: str
+    networks: Path, tmp_path: Path, damage: Callable[[Path], None], said: str, fixes: str
 ) -> None:
-    """What is to be mended is the checkpoint, and not the code of the built-in policy."""
+    """The fix is for the checkpoint, not for the code of the built-in policy."""
     shutil.copytree(networks, tmp_path / "networks")
     damage(tmp_path / "networks")
     with pytest.raises(SubmissionError) as caught, PolicyHost(resolve("tae"), tmp_path / "networks", "cpu", PATIENT):
         pass
     text = str(caught.value)
-    assert said in text and str(tmp_path / "networks") in text and mends in text.splitlines()[-1]
+    assert said in text and str(tmp_path / "networks") in text and fixes in text.splitlines()[-1]
     assert ".py" not in text
 
 
@@ -136,8 +136,8 @@ def test_the_files_that_were_meant_are_named(
         Path(folder).mkdir()
         for name in files:
             Path(folder, name).write_bytes(b"")
-    refusal = LoadFailure("UnpicklingError: no", kinds=("_pickle.UnpicklingError",))
-    hint = load_hint(refusal, "my_policy.py", "", None, None if checkpoint is None else Path(checkpoint))
+    failure = LoadFailure("UnpicklingError: no", kinds=("_pickle.UnpicklingError",))
+    hint = load_hint(failure, "my_policy.py", "", None, None if checkpoint is None else Path(checkpoint))
     commands = [line for line in hint.splitlines() if line.startswith("python -m")]
     assert commands == [f"python -m evaluator.policy.conversion {name} --trust" for name in named]
 
@@ -179,7 +179,7 @@ def test_what_cannot_be_converted_is_said(tmp_path: Path) -> None:
         convert(two)
     assert caught.value.hint == "name one: --key model"
     assert convert(two, key="average").name == "b.safetensors"
-    with pytest.raises(InputError, match="is there already"):
+    with pytest.raises(InputError, match="exists already"):
         convert(two)
     with pytest.raises(InputError, match=r"no state dict: it is a dictionary of epoch"):
         convert(saved("c.pt", {"epoch": 3}))

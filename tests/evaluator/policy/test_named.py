@@ -1,4 +1,4 @@
-"""Policies that packages offer by name: found, listed, asked in the sandbox, and shown for what they are."""
+"""Policies that packages offer by name: found, listed, asked in the sandbox, and shown with their kind."""
 
 from __future__ import annotations
 

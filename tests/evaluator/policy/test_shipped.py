@@ -59,7 +59,7 @@ def test_a_changed_file(networks: Path) -> None:
 
 @pytest.mark.parametrize("name", ["push.safetensors", "push.json"])
 def test_a_file_too_many(networks: Path, name: str) -> None:
-    """A policy loads every network of its folder: one that nobody published would play, too."""
+    """A policy loads every network of its folder: an unpublished one would be used, too."""
     (networks / "grasp.png").write_text("no network")
     assert shipped_checkpoint("tae-joint") == networks
     (networks / name).write_text("mine")

@@ -1,4 +1,4 @@
-"""Frames: what is sent arrives, and what is no frame is a WireError whatever its header announces."""
+"""Frames: what is sent arrives, and anything else is a WireError, for every header."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from evaluator.policy import PolicyHost
-from evaluator.policy.wire import WireError, batch_frame, frame_parts, read_batch, read_frame
+from evaluator.policy.wire import WireError, batch_frame, frame_parts, read_frame, read_question
 
 from .batches import make_batch
 from .conftest import REPLIES, WritePolicy
@@ -59,7 +59,7 @@ headers = st.one_of(anything, st.fixed_dictionaries({"op": anything, "arrays": s
 
 
 @given(headers)
-def test_whatever_a_header_announces_it_is_a_frame_or_a_wire_error(header: Any) -> None:
+def test_every_header_gives_a_frame_or_a_wire_error(header: Any) -> None:
     data = framed(header)
     tape = Tape(data)
     try:
@@ -72,7 +72,7 @@ def test_whatever_a_header_announces_it_is_a_frame_or_a_wire_error(header: Any) 
 
 
 @given(st.binary(max_size=60))
-def test_bytes_that_are_no_header(data: bytes) -> None:
+def test_bytes_that_are_not_a_header(data: bytes) -> None:
     with pytest.raises(WireError):
         read_frame(Tape(struct.pack(">I", len(data)) + data).read, 1 << 20, MAX_BYTES)
 
@@ -88,12 +88,12 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("entry", HOSTILE.values(), ids=HOSTILE.keys())
-def test_headers_that_numpy_stumbles_over(entry: list[Any]) -> None:
+def test_headers_that_numpy_would_misread(entry: list[Any]) -> None:
     with pytest.raises(WireError):
         read_frame(Tape(framed({"op": "acted", "arrays": [entry]})).read, 1 << 20, MAX_BYTES)
 
 
-def test_a_malformed_reply_is_a_fault_and_the_judge_lives_on(write_policy: WritePolicy) -> None:
+def test_a_malformed_reply_is_a_fault_and_the_evaluator_survives(write_policy: WritePolicy) -> None:
     frames = [framed({"op": "acted", "arrays": [entry]}) for entry in list(HOSTILE.values())[:2]]
     spec = write_policy(f"if n > 1: os.write(replies(), {frames!r}[n - 2])\nreturn good", top=REPLIES)
     with PolicyHost(spec, None, "cpu", LIMITS) as host:
@@ -103,7 +103,7 @@ def test_a_malformed_reply_is_a_fault_and_the_judge_lives_on(write_policy: Write
         assert host.restarts == 2
 
 
-def test_a_report_that_is_no_text_is_a_fault(write_policy: WritePolicy) -> None:
+def test_a_report_that_is_not_text_is_a_fault(write_policy: WritePolicy) -> None:
     spec = write_policy(
         """
         number = inspect.currentframe().f_back.f_locals["header"]["number"]
@@ -121,7 +121,7 @@ def test_a_report_that_is_no_text_is_a_fault(write_policy: WritePolicy) -> None:
 def test_a_batch_arrives_as_it_was_sent() -> None:
     batch = make_batch(3)
     header, arrays = read_frame(Tape(b"".join(map(bytes, batch_frame(5, batch, None)))).read, 1 << 20, 1 << 30)
-    found = read_batch(header, arrays)
+    found, _ = read_question(header, arrays)
     assert header["number"] == 5 and (found.task, found.primitive) == (batch.task, batch.primitive)
     for name in ("scene", "end_effector", "valid"):
         assert np.array_equal(getattr(found, name), getattr(batch, name))
