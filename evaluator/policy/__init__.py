@@ -7,8 +7,8 @@
     loading   "my_policy.py:Name" or an installed name  ->  PolicySpec (a file and a class, nothing imported)
     shipped   an installed name  ->  the networks that come with the repository
     check     some questions of every task  ->  what would be refused, and how to fix it
-    host      the evaluator's end: batches, contract checks  ->  answers or counted faults
-    session   one child process: deadlines, the time of all questions, restarts
+    host      the evaluator's end: batches, contract checks, restarts  ->  answers or counted faults
+    process   one child process and its deadlines
     sandbox   how that process is started, and what confines it
     child     the policy's end: imports the file and answers batches
     wire      the frames between both ends

@@ -28,24 +28,12 @@ def conversion_command(path: Path, *, trust: bool = False) -> str:
 
 @dataclass(frozen=True, slots=True)
 class LoadFailure:
-    """Why a policy cannot be used, as its process or the evaluator reports it.
+    """Why a policy cannot be used, as its process or the evaluator reports it."""
 
-    Attributes
-    ----------
-    message : str
-        What is wrong, in a line.
-    where : str
-        File and line in the submitter's code where it was raised.
-    trace : str
-        The last lines of the traceback.
-    kinds : tuple of str
-        Types (``module.name``) of the exception and of its causes, with their bases.
-    """
-
-    message: str
-    where: str = ""
-    trace: str = ""
-    kinds: tuple[str, ...] = ()
+    message: str  # one line
+    where: str = ""  # file and line in the submitter's code where it was raised
+    trace: str = ""  # the last lines of the traceback
+    kinds: tuple[str, ...] = ()  # types (``module.name``) of the exception and of its causes, with their bases
 
     @property
     def explains_itself(self) -> bool:

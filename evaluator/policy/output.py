@@ -22,13 +22,9 @@ _SHOWN = 2000  # characters
 class CappedOutput:
     """A pipe for a process's stdout and stderr that never fills, and a log file that never grows large.
 
-    Parameters
-    ----------
-    path : Path or None
-        The log file, created if anything is printed; None keeps the text in memory only. What it held already (an
-        earlier step, or a run that is resumed) stays before it, up to one ``head`` and ``tail`` of it.
-    head, tail : int
-        Bytes kept of the beginning and of the end.
+    ``head`` and ``tail`` bytes are kept of the beginning and of the end. The log file at ``path`` is created if
+    anything is printed; None keeps the text in memory only. What the file held before (an earlier step, or a run that
+    is resumed) stays in it, up to the last ``head + tail`` bytes.
     """
 
     def __init__(self, path: Path | None, head: int, tail: int) -> None:
@@ -37,34 +33,34 @@ class CappedOutput:
         self._total = 0
         self._path = path
         self._lock = threading.Lock()
-        self._threads: list[tuple[threading.Thread, threading.Event]] = []
+        self._closing = threading.Event()
+        self._threads: list[threading.Thread] = []
 
     def open_pipe(self) -> int:
         """Write end of a new pipe (a restarted process gets its own); close it after the process was started."""
         reader, writer = os.pipe()
         if hasattr(fcntl, "F_SETPIPE_SZ"):
             fcntl.fcntl(writer, fcntl.F_SETPIPE_SZ, _CHUNK)
-        stop = threading.Event()
-        thread = threading.Thread(target=self._drain, args=(reader, stop), daemon=True)
+        self._closing.clear()
+        thread = threading.Thread(target=self._drain, args=(reader,), daemon=True)
         thread.start()
-        self._threads = [entry for entry in self._threads if entry[0].is_alive()]
-        self._threads.append((thread, stop))
+        self._threads = [*filter(threading.Thread.is_alive, self._threads), thread]
         return writer
 
-    def _drain(self, reader: int, stop: threading.Event) -> None:
-        """Read until the end of the pipe; ``stop`` bounds the wait when a process that escaped holds it open."""
+    def _drain(self, reader: int) -> None:
+        """Read until the end of the pipe, or until ``settle`` if a process that escaped holds it open."""
         try:
             while True:
                 ready, _, _ = select.select([reader], [], [], _POLL_S)
                 if not ready:
-                    if stop.is_set():
+                    if self._closing.is_set():
                         return
                     continue
                 chunk = os.read(reader, _CHUNK)
                 if not chunk:
                     return
                 self._keep(chunk)
-                if stop.is_set() and self._total > self._head_limit:
+                if self._closing.is_set() and self._total > self._head_limit:
                     return
         finally:
             os.close(reader)
@@ -82,8 +78,8 @@ class CappedOutput:
 
     def settle(self) -> None:
         """Wait for the pipes of ended processes, and write the log file."""
-        for thread, stop in self._threads:
-            stop.set()
+        self._closing.set()
+        for thread in self._threads:
             thread.join(timeout=5 * _POLL_S)
         self._threads.clear()
         if self._path is None or not self._total:
@@ -91,7 +87,7 @@ class CappedOutput:
         try:
             earlier = self._path.read_bytes()[-self._head_limit - self._tail_limit :] if self._path.exists() else b""
             write_atomic(self._path, earlier + self.text().encode())
-        except OSError as error:  # the log is a help, and no reason to lose a run
+        except OSError as error:  # a run does not fail for its log
             _LOG.warning("what the policy printed is lost: %s", error)
 
     @property

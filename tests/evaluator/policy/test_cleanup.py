@@ -113,7 +113,9 @@ def test_a_folder_nested_without_end_is_removed(tmp_path: Path) -> None:
     assert not folder.exists()
 
 
-def test_a_suspended_evaluator_charges_no_timeout(write_policy: WritePolicy, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_time_while_the_evaluator_is_suspended_does_not_count(
+    write_policy: WritePolicy, monkeypatch: pytest.MonkeyPatch
+) -> None:
     clock, leap = time.monotonic, [0.0]
 
     def leaping() -> float:

@@ -52,7 +52,7 @@ def test_unusable_answers_are_faults(answer: np.ndarray, reason: FaultReason) ->
     assert reasons(check_answer(answer, make_batch(2).valid)) == [reason] * 2
 
 
-def test_one_bad_action_is_charged_alone(write_policy: WritePolicy) -> None:
+def test_one_bad_action_is_one_fault(write_policy: WritePolicy) -> None:
     spec = write_policy("good[1] = [0, 0, 0]\ngood[2] = [99, 0, 0]\nreturn good")
     with PolicyHost(spec, None, "cpu", LIMITS) as host:
         answers = host.act(make_batch(4))

@@ -72,7 +72,7 @@ def test_a_missing_checkpoint(write_policy: WritePolicy, tmp_path: Path) -> None
         PolicyHost(write_policy("return good"), tmp_path / "none.pt")
 
 
-def test_one_raising_observation_is_charged_alone(write_policy: WritePolicy) -> None:
+def test_one_raising_observation_is_one_fault(write_policy: WritePolicy) -> None:
     spec = write_policy(
         "if (observations.scene[:, 0, 0] == np.float32(2e-4)).any(): raise ValueError('two')\nreturn good"
     )
@@ -93,7 +93,7 @@ def test_a_policy_that_always_raises_is_asked_twice_about_everything(write_polic
     assert len(calls.read_text()) == 6 * (1 + 4)
 
 
-def test_what_is_charged_does_not_depend_on_the_batches_before(write_policy: WritePolicy) -> None:
+def test_faults_do_not_depend_on_the_batches_before(write_policy: WritePolicy) -> None:
     """So it does not depend on where a run was interrupted, either."""
     spec = write_policy("if n > 1: os._exit(7)\nreturn good")
     with PolicyHost(spec, None, "cpu", LIMITS) as host:
@@ -101,14 +101,14 @@ def test_what_is_charged_does_not_depend_on_the_batches_before(write_policy: Wri
         assert host.restarts == 5
 
 
-def test_a_policy_that_raises_in_every_batch_is_charged_for_one_observation_each(write_policy: WritePolicy) -> None:
+def test_a_policy_that_raises_in_every_batch_has_one_fault_in_each(write_policy: WritePolicy) -> None:
     spec = write_policy("if (observations.scene[:, 0, 0] == 0).any(): raise ValueError\nreturn good")
     with PolicyHost(spec, None, "cpu", LIMITS) as host:
         for _ in range(6):
             assert reasons(host.act(make_batch(3))) == ["exception", "ok", "ok"]
 
 
-def test_a_hanging_observation_is_charged_alone(write_policy: WritePolicy) -> None:
+def test_a_hanging_observation_is_one_fault(write_policy: WritePolicy) -> None:
     spec = write_policy("if (observations.scene[:, 0, 0] == np.float32(1e-4)).any(): time.sleep(60)\nreturn good")
     with PolicyHost(spec, None, "cpu", IMPATIENT) as host:
         assert reasons(host.act(make_batch(3))) == ["ok", "timeout", "ok"]
