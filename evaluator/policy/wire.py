@@ -99,7 +99,7 @@ def read_frame(read: Read, max_header: int, max_bytes: int) -> Frame:
     bounds = (dtype.itemsize * math.prod(max(size, 1) for size in shape) * n for _, dtype, shape, n in described)
     if sum(bounds) > max_bytes:
         raise WireError("arrays are too large")
-    return header, {name: _array(read, *rest) for name, *rest in described}
+    return header, {name: _array(read, dtype, shape, n) for name, dtype, shape, n in described}
 
 
 def _described(entry: Any) -> tuple[str, np.dtype[Any], tuple[int, ...], int]:
