@@ -51,18 +51,10 @@ _SINES = tuple(round(math.sin(2 * math.pi * k / ANGLES), 15) for k in range(ANGL
 
 
 class Symmetry(NamedTuple):
-    """What may be done to a kind of step.
+    """What may be done to a kind of step."""
 
-    Attributes
-    ----------
-    angles : int
-        Angles among which a new yaw may be drawn; 0 where the step has a direction.
-    pair : bool
-        Whether a mirror image swaps two hands.
-    """
-
-    angles: int
-    pair: bool
+    angles: int  # among which a new yaw may be drawn; 0 where the step has a direction
+    pair: bool  # whether a mirror image swaps two hands
 
 
 def symmetry(primitive: str, embodiment: str) -> Symmetry:

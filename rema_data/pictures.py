@@ -97,13 +97,7 @@ def outcome_text(row: Mapping[str, Any]) -> str:
 
 
 def tile(step: GalleryStep) -> Image.Image:
-    """One step: scene map with the action, end-effector maps, and captions.
-
-    Raises
-    ------
-    InputError
-        pillow is not installed.
-    """
+    """One step: scene map with the action, end-effector maps, and captions."""
     image_module, draw_module = _pillow()
     row = step.row
     image: Image.Image = image_module.new("RGB", _TILE, _PAPER)
@@ -126,20 +120,7 @@ def tile(step: GalleryStep) -> Image.Image:
 
 
 def contact_sheet(steps: Sequence[GalleryStep], title: str, columns: int = 3) -> Image.Image:
-    """Several steps in one picture.
-
-    Parameters
-    ----------
-    steps : sequence of GalleryStep
-    title : str
-    columns : int
-        Steps side by side.
-
-    Raises
-    ------
-    InputError
-        pillow is not installed, or there are no steps.
-    """
+    """Several steps in one picture, ``columns`` side by side."""
     image_module, draw_module = _pillow()
     if not steps:
         raise InputError("there are no steps to draw", hint="choose some that exist")
@@ -195,24 +176,10 @@ def scene_map(
     goal_x_m: float | None = None,
     pixels: int = _SCENE,
 ) -> Image.Image:
-    """The scene map, x to the right and y up, with the end effector at the place of the action.
+    """The scene map, x to the right and y up, with the end effector at the pose (x m, y m, yaw rad) of the action.
 
-    Parameters
-    ----------
-    observation : Observation
-    pose : (x, y, yaw)
-        Of the action; m, rad.
-    push_m : float
-        How far the action pushes in +x; 0 for a grasp. Where the way ends in the map, the end effector is there too.
-    goal_x_m : float, optional
-        A line that the target has to pass.
-    pixels : int
-        Width and height of the picture.
-
-    Raises
-    ------
-    InputError
-        pillow is not installed.
+    ``push_m`` is how far the action pushes in +x, 0 for a grasp; where the way ends in the map, the end effector is
+    drawn there too. ``goal_x_m`` is a line that the target has to pass. ``pixels`` is width and height of the picture.
     """
     image_module, draw_module = _pillow()
     size = pixels * _FINE

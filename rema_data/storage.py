@@ -41,12 +41,9 @@ def rema_home() -> Path:
 
 @contextmanager
 def storage_errors(path: Path) -> Iterator[None]:
-    """Turn the errors of a full or read-only disk into a StorageError about ``path``.
+    """Turn the errors of a full or read-only disk, and of an impossible path, into a StorageError about ``path``.
 
-    Raises
-    ------
-    StorageError
-        The disk is full or may not be written, or the path cannot be one. Other ``OSError`` pass through.
+    Other ``OSError`` pass through.
     """
     try:
         yield
@@ -74,14 +71,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def write_atomic(path: Path, data: bytes | str) -> None:
-    """Write ``data`` to ``path`` through a temporary name, fsync and rename.
-
-    Parameters
-    ----------
-    path : Path
-        Its folder is created where it is missing.
-    data : bytes or str
-        Text is written as UTF-8.
+    """Write bytes, or text as UTF-8, to ``path`` through a temporary name, fsync and rename; its folder is created.
 
     Raises
     ------

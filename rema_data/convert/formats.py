@@ -20,13 +20,7 @@ _GROUP = "rema.formats"
 
 
 def find_format(name: str) -> Format:
-    """The format of that name.
-
-    Raises
-    ------
-    InputError
-        None has this name, or its package cannot be loaded.
-    """
+    """The format of that name; raises InputError where it is not installed, or its package cannot be loaded."""
     formats = installed(_GROUP)
     if name not in formats:
         raise InputError(f"unknown format {name!r}", hint=f"installed formats: {', '.join(formats)}", format=name)

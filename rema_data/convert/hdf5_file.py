@@ -82,12 +82,7 @@ class _Sink(io.RawIOBase):
 
 
 class NewFile:
-    """A file that is being written.
-
-    Attributes
-    ----------
-    root : h5py.File
-    """
+    """A file that is being written; ``root`` is the ``h5py.File``."""
 
     def __init__(self, root: h5py.File, sink: _Sink) -> None:
         self.root = root
@@ -101,13 +96,7 @@ class NewFile:
 
 @contextmanager
 def new_file(path: Path) -> Iterator[NewFile]:
-    """A new HDF5 file under a temporary name, which becomes ``path`` when the block ends without an error.
-
-    Raises
-    ------
-    StorageError
-        The disk is full or may not be written; ``path`` is then as it was before.
-    """
+    """A new HDF5 file under a temporary name, which becomes ``path`` when the block ends without an error."""
     with storage_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
@@ -129,7 +118,7 @@ def new_file(path: Path) -> Iterator[NewFile]:
 
 
 def damaged(path: Path, why: str) -> IntegrityError:
-    """The error about a file that is no whole export."""
+    """The error about a file that is not a whole export."""
     return IntegrityError(
         f"{path} cannot be read: {why}",
         hint="export the release again, or restore the file from a copy",
@@ -139,13 +128,7 @@ def damaged(path: Path, why: str) -> IntegrityError:
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Say about ``path`` what HDF5 cannot read of it.
-
-    Raises
-    ------
-    IntegrityError
-        A part of the file is damaged or missing.
-    """
+    """Turn what HDF5 raises on a damaged or missing part of ``path`` into an IntegrityError."""
     try:
         yield
     except RemaError:
@@ -157,15 +140,7 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def open_file(path: Path) -> h5py.File:
-    """An HDF5 file for reading.
-
-    Raises
-    ------
-    MissingFileError
-        It is not there.
-    IntegrityError
-        It is not a whole HDF5 file.
-    """
+    """An HDF5 file for reading; raises MissingFileError or IntegrityError where there is no whole HDF5 file."""
     if not path.is_file():
         raise MissingFileError(
             f"there is no file {path}", hint="name the files that `rema export` wrote, or their folder", path=str(path)

@@ -41,13 +41,7 @@ Row = dict[str, Any]
 
 
 def expand(sources: Sequence[Path]) -> list[Path]:
-    """The files among some files and folders.
-
-    Raises
-    ------
-    MissingFileError
-        A folder holds none, or nothing was named.
-    """
+    """The files among some files and folders; raises MissingFileError where there are none."""
     if not sources:
         raise MissingFileError("no file to import was named", hint="name the folder that `rema export` wrote")
     paths: list[Path] = []

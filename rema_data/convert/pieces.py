@@ -22,13 +22,7 @@ Array = npt.NDArray[Any]
 
 
 class Piece(NamedTuple):
-    """Some episodes of a block, as ``BlockWriter.append`` takes them: rows count from 0.
-
-    Attributes
-    ----------
-    episodes, steps : pyarrow.Table
-    maps : EncodedMaps
-    """
+    """Some episodes of a block, as ``BlockWriter.append`` takes them: rows count from 0."""
 
     episodes: pa.Table
     steps: pa.Table

@@ -15,28 +15,15 @@ __all__ = ["ReleaseState", "local_releases"]
 
 @dataclass(frozen=True)
 class ReleaseState:
-    """A release on this machine.
-
-    Attributes
-    ----------
-    name, path : str
-    identity : str
-        ``published``, ``not published``, ``not the published one``, or why the manifest cannot be read.
-    blocks, blocks_total : int
-        Blocks that are here whole, and blocks of the release.
-    bytes : int
-        Of the files that are here.
-    folder : ReleaseFolder or None
-        None where the manifest cannot be read.
-    """
+    """A release on this machine."""
 
     name: str
     path: str
-    identity: str
-    blocks: int
+    identity: str  # published, not published, not the published one, or why the manifest cannot be read
+    blocks: int  # that are here whole
     blocks_total: int
-    bytes: int
-    folder: ReleaseFolder | None
+    bytes: int  # of the files that are here
+    folder: ReleaseFolder | None  # None where the manifest cannot be read
 
     @property
     def ok(self) -> bool:

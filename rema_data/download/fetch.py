@@ -127,22 +127,9 @@ def download(
 def fetch_again(
     folder: ReleaseFolder, locations: Iterable[str], sources: Sequence[str | os.PathLike[str]], again: str
 ) -> None:
-    """Fetch files of a release again. What is in their place is replaced when the right bytes are here.
+    """Fetch files of a release again: each one stays as it was until the right bytes are here.
 
-    Parameters
-    ----------
-    folder : ReleaseFolder
-    locations : iterable of str
-        Of files that the manifest names.
-    sources : sequence of str or path
-        As in ``download``.
-    again : str
-        The command that does the same, for the hint of an error.
-
-    Raises
-    ------
-    InputError, MissingFileError, IntegrityError, StorageError
-        See ``download``. What could not be fetched is as it was before.
+    ``again`` is the command that does the same, for the hint of an error. Sources and errors are those of ``download``.
     """
     wanted = set(locations)
     files = tuple(file for file in folder.manifest.files if file.location in wanted)

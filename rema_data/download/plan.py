@@ -103,17 +103,10 @@ class DownloadReport:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Wanted files of a release.
-
-    Attributes
-    ----------
-    files : tuple of FileEntry
-    missing : tuple of FileEntry
-        Those that are not here with their size.
-    """
+    """Wanted files of a release."""
 
     files: tuple[FileEntry, ...]
-    missing: tuple[FileEntry, ...]
+    missing: tuple[FileEntry, ...]  # those that are not here with their size
 
     @property
     def bytes(self) -> int:
@@ -170,12 +163,7 @@ def make_plan(release: ReleaseFolder, files: Iterable[FileEntry]) -> Plan:
 
 
 def check_space(root: Path, plan: Plan) -> None:
-    """Raise where the missing bytes do not fit on the disk of ``root``, which need not exist yet.
-
-    Raises
-    ------
-    StorageError
-    """
+    """Raise StorageError where the missing bytes do not fit on the disk of ``root``, which need not exist yet."""
     needed = sum(entry.bytes - min(entry.bytes, _arrived(root, entry)) for entry in plan.missing)
     place = next(folder for folder in (root, *root.absolute().parents) if folder.exists())
     free = shutil.disk_usage(place).free

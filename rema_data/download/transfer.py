@@ -31,14 +31,8 @@ BYTES_PER_DROP = 1 << 20
 class Mirrors:
     """The sources of a download, in order, with what is known of them. Threads share it.
 
-    Parameters
-    ----------
-    sources : sequence of Source
-    patience : int
-        A source that fails for so many files in a row is given up. More than the number of threads: they all fail at
-        once when a server has a bad second.
-    note : callable
-        Gets a line about a source that is given up.
+    A source that fails for ``patience`` files in a row is given up, and ``note`` gets a line about it. The number is
+    above that of the threads: they all fail at once when a server has a bad second.
     """
 
     def __init__(self, sources: Sequence[Source], patience: int, note: Callable[[str], None]) -> None:
@@ -84,21 +78,8 @@ class Mirrors:
 class Transfer:
     """The fetching of one file.
 
-    Parameters
-    ----------
-    entry : FileEntry
-    target : Path
-        Where it will be.
-    mirrors : Mirrors
-    advance : callable
-        Gets the number of bytes by which the file has grown; negative where bytes are thrown away.
-    stop : threading.Event
-        Ends the transfer at the next chunk.
-
-    Attributes
-    ----------
-    moved : int
-        Bytes that came from the sources, those thrown away included.
+    ``advance`` gets the bytes by which the file grows, negative where bytes are thrown away; ``moved`` counts all that
+    came from the sources. ``stop`` ends the transfer at the next chunk.
     """
 
     def __init__(
@@ -114,16 +95,7 @@ class Transfer:
         self._corrupt = False
 
     def run(self) -> None:
-        """Fetch the file.
-
-        Raises
-        ------
-        Undelivered
-            No source has delivered it.
-        Stopped
-        StorageError
-            The disk is full or may not be written.
-        """
+        """Fetch the file; raises Undelivered, Stopped, or StorageError where the disk is full."""
         with closing(PartFile(self.target, self.entry.bytes)) as part:
             if part.position:
                 self._origins.add(None)
@@ -164,12 +136,7 @@ class Transfer:
         raise Undelivered(self.entry, answers, self._corrupt)
 
     def _take(self, part: PartFile, source: Source) -> None:
-        """The rest of the file from one source, in as many connections as bring it forward.
-
-        Raises
-        ------
-        Refused, Faltered
-        """
+        """The rest of the file from one source, in as many connections as bring it forward; or Refused or Faltered."""
         drops, began = 0, part.position
         while True:
             before = part.position

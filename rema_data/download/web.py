@@ -34,13 +34,7 @@ _RANGE = re.compile(r"bytes (\d+)-\d+/(\d+|\*)")
 
 
 class WebFolder:
-    """A folder of releases behind a URL of HTTP. Threads share it.
-
-    Parameters
-    ----------
-    url : str
-        Its user and password are sent to its server, and to no other.
-    """
+    """A folder of releases on a web server, which alone gets user and password of the URL. Threads share it."""
 
     def __init__(self, url: str) -> None:
         self._url = urlsplit(url)
@@ -48,13 +42,7 @@ class WebFolder:
         self._lock = threading.Lock()
 
     def check(self) -> None:
-        """Raise where the URL cannot be one.
-
-        Raises
-        ------
-        ValueError
-            Its message holds no secret.
-        """
+        """Raise ValueError, without a secret in it, where the URL cannot be one."""
         try:
             _ = self._url.port
         except ValueError:

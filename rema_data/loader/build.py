@@ -47,16 +47,9 @@ def open_cache(
     folder: Path | None = None,
     progress: Progress | None = None,
 ) -> DecodedCache:
-    """The cache of some blocks, built where it is missing or damaged; one process builds, others wait for it.
+    """The cache of some local blocks, built where it is missing or damaged; one process builds, others wait for it.
 
-    Parameters
-    ----------
-    release : ReleaseFolder
-    blocks : sequence of BlockEntry
-        Blocks that are on this machine.
-    folder : Path, optional
-        Of all caches; by default ``REMA_HOME/decoded``.
-    progress : Progress, optional
+    ``folder`` holds all caches: by default ``REMA_HOME/decoded``.
 
     Raises
     ------

@@ -40,21 +40,11 @@ Array = npt.NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class MapArrays:
-    """The decoded maps.
+    """The decoded maps."""
 
-    Attributes
-    ----------
-    scene : int16 (steps, 64, 64)
-        Height above the table, 0.1 mm.
-    ee_depth : int16 (maps, 2, 112, 112)
-        Height above the end effector's lowest allowed point, 0.1 mm.
-    ee_mask : uint8 (maps, 2, 112, 14)
-        Packed: see ``rema_data.heights.unpack_mask``.
-    """
-
-    scene: Array
-    ee_depth: Array
-    ee_mask: Array
+    scene: Array  # int16 (steps, 64, 64): height above the table, 0.1 mm
+    ee_depth: Array  # int16 (maps, 2, 112, 112): height above the end effector's lowest allowed point, 0.1 mm
+    ee_mask: Array  # uint8 (maps, 2, 112, 14): packed, see ``rema_data.heights.unpack_mask``
 
 
 class DecodedCache:

@@ -81,30 +81,14 @@ def decode_blocks(
     jobs: int,
     progress: Progress | None = None,
 ) -> tuple[Index, Categories]:
-    """Decode blocks, one after the other, into ``sink``.
-
-    Parameters
-    ----------
-    release : ReleaseFolder
-    blocks : sequence of BlockEntry
-    sink : Sink
-    jobs : int
-        Threads.
-    progress : Progress, optional
-        Told the bytes that are decoded.
-
-    Returns
-    -------
-    index : structured array
-        Of ``INDEX_DTYPE``; its map rows count within the sink.
-    categories : dict of str to list of str
+    """Decode blocks one after the other; returns the index of their steps, whose map rows count in ``sink``.
 
     Raises
     ------
     IntegrityError
         A file is not the one that the manifest names, or cannot be decoded.
     MissingFileError
-        A file is not there.
+        A file does not exist.
     """
     wanted = {block.key.path for block in blocks}
     files = [file for file in release.manifest.files if file.block in wanted]

@@ -33,13 +33,6 @@ class Release:
     """A release on this machine; ``load`` makes one.
 
     Opening reads the manifest only. The blocks are decoded when something of them is first asked for, once per machine.
-
-    Parameters
-    ----------
-    folder : ReleaseFolder
-    cache : path or "memory", optional
-    progress : rema_data.progress.Progress, optional
-        As in ``load``.
     """
 
     def __init__(

@@ -38,20 +38,7 @@ references:
 
 
 def write_card(folder: Path, manifest: Manifest) -> None:
-    """Write the card of a release that is about to be sealed.
-
-    Parameters
-    ----------
-    folder : Path
-        The release's own folder.
-    manifest : Manifest
-        A draft that lists the data files.
-
-    Raises
-    ------
-    StorageError
-        The disk is full or may not be written.
-    """
+    """Write the card of a release that is about to be sealed; ``manifest`` is a draft that lists the data files."""
     description = json.dumps(croissant(manifest), indent=1, ensure_ascii=False) + "\n"
     texts = (_citation(manifest), datasheet(manifest), licence_notice(manifest), description)
     for name, text in zip(CARD, texts, strict=True):

@@ -23,17 +23,10 @@ __all__ = ["ReleaseFolder", "downloads_folder", "find_release", "local_sources"]
 
 @dataclass(frozen=True)
 class ReleaseFolder:
-    """A release whose files lie below ``root``.
-
-    Attributes
-    ----------
-    manifest : Manifest
-    root : Path
-        The folder of releases: a file is at ``root / holder / path``.
-    """
+    """A release whose files lie below ``root``."""
 
     manifest: Manifest
-    root: Path
+    root: Path  # the folder of releases: a file is at ``root / holder / path``
 
     @property
     def path(self) -> Path:
@@ -64,13 +57,7 @@ class ReleaseFolder:
         return tuple(block for block in self.manifest.blocks if block.key.path not in missing)
 
     def require(self, wanted: Iterable[BlockEntry]) -> None:
-        """Raise where one of the blocks is not here whole.
-
-        Raises
-        ------
-        MissingFileError
-            With the command that fetches it.
-        """
+        """Raise MissingFileError, with the command that fetches them, where blocks are not here whole."""
         here = {block.key for block in self.blocks()}
         missing = [block for block in wanted if block.key not in here]
         if missing:

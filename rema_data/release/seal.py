@@ -29,24 +29,15 @@ __all__ = ["Description", "describe_block", "file_sha256", "seal"]
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """What people are told about a release.
-
-    Attributes
-    ----------
-    name, title, description, license, citation : str
-    sources : tuple of str
-        URLs of folders of releases.
-    published : str
-        Day of publication as YYYY-MM-DD, or empty.
-    """
+    """What a release says of itself."""
 
     name: str
     title: str
     description: str
     license: str
     citation: str
-    sources: tuple[str, ...] = ()
-    published: str = ""
+    sources: tuple[str, ...] = ()  # URLs of folders of releases
+    published: str = ""  # day of publication as YYYY-MM-DD, or empty
 
 
 def file_sha256(path: Path) -> str:

@@ -51,12 +51,6 @@ class ExactPlan:
 
     A stratum with the share p gets the whole part of p times the batch in every batch; the draws that are left go to
     the strata that would first fall a whole draw behind. Counts repeat after ``period`` batches.
-
-    Parameters
-    ----------
-    shares : float64 (strata,)
-    batch : int
-        Draws in a batch.
     """
 
     def __init__(self, shares: Shares, batch: int) -> None:
@@ -105,15 +99,7 @@ class ExactPlan:
 
 
 class LotteryPlan:
-    """Every draw picks its stratum by itself, with the shares as probabilities: balance on average, as in the paper.
-
-    Parameters
-    ----------
-    shares : float64 (strata,)
-    batch : int
-        Draws in a batch.
-    key : Key
-    """
+    """Every draw picks its stratum by itself, with the shares as probabilities: balance on average, as in the paper."""
 
     def __init__(self, shares: Shares, batch: int, key: Key) -> None:
         self.shares = shares

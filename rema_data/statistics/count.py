@@ -22,33 +22,17 @@ __all__ = ["Statistics", "StepCount", "TaskTotal", "count"]
 
 @dataclass(frozen=True, slots=True)
 class StepCount:
-    """One step of one block.
-
-    Attributes
-    ----------
-    round : int
-    task, split : str
-    step : int
-        Position in the task, from 0.
-    last : bool
-        The success of this step is the success of the task.
-    skill : str
-        The task whose last step is of this kind; a tool pick is a ``grasp``.
-    policy : str
-        Who acted at this step; several names are joined by ``+``.
-    reached, positives : int
-        Episodes that executed the step, and those in which it succeeded.
-    """
+    """One step of one block."""
 
     round: int
     task: str
     split: str
-    step: int
-    last: bool
-    skill: str
-    policy: str
-    reached: int
-    positives: int
+    step: int  # position in the task, from 0
+    last: bool  # its success is the success of the task
+    skill: str  # the task whose last step is of this kind; a tool pick is a ``grasp``
+    policy: str  # of this step; several names are joined by ``+``
+    reached: int  # episodes that executed the step
+    positives: int  # those in which it succeeded
 
     @property
     def negatives(self) -> int:
@@ -58,23 +42,13 @@ class StepCount:
 
 @dataclass(frozen=True, slots=True)
 class TaskTotal:
-    """One task over all rounds and splits that are on this machine.
-
-    Attributes
-    ----------
-    task : str
-    episodes : int
-    reached, positives : int
-        Of the last step.
-    executed : int
-        Steps of all positions.
-    """
+    """One task over all rounds and splits that are on this machine."""
 
     task: str
     episodes: int
-    reached: int
+    reached: int  # last steps that were executed
     positives: int
-    executed: int
+    executed: int  # steps of all positions
 
     @property
     def negatives(self) -> int:
@@ -84,25 +58,13 @@ class TaskTotal:
 
 @dataclass(frozen=True)
 class Statistics:
-    """What a release holds.
-
-    Attributes
-    ----------
-    release, sha256 : str
-        Name and identity.
-    steps : tuple of StepCount
-        Of the blocks that are on this machine, in the order of the manifest.
-    missing : tuple of BlockEntry
-        Blocks that are not: the manifest knows their episodes, but not how many reached which step.
-    fix : str
-        What brings the missing blocks; empty where there are none.
-    """
+    """What a release holds."""
 
     release: str
     sha256: str
-    steps: tuple[StepCount, ...]
-    missing: tuple[BlockEntry, ...]
-    fix: str = ""
+    steps: tuple[StepCount, ...]  # of the blocks that are on this machine, in the order of the manifest
+    missing: tuple[BlockEntry, ...]  # blocks that are not, whose steps are not known
+    fix: str = ""  # the command that brings the missing blocks; empty where there are none
 
     def totals(self) -> tuple[TaskTotal, ...]:
         """Sums by task, in the order of ``TASKS``."""

@@ -27,13 +27,7 @@ _POSITIVE, _NEGATIVE, _INK = "#1a7f37", "#c9ccd1", "#1f2328"
 
 
 def accumulated(statistics: Statistics) -> dict[str, dict[int, tuple[int, int]]]:
-    """Positives and negatives of the last steps of every task, up to and including every round of the release.
-
-    Returns
-    -------
-    dict of str to dict of int to (int, int)
-        By task and round.
-    """
+    """Positives and negatives of the last steps of every task, up to every round of the release, by task and round."""
     rounds = sorted({row.round for row in statistics.steps})
     tasks = [task for task in TASKS if any(row.task == task for row in statistics.steps)]
     sums: dict[str, dict[int, tuple[int, int]]] = {}

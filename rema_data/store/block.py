@@ -47,21 +47,12 @@ Array = npt.NDArray[Any]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EncodedMaps:
-    """Maps of some steps as they are stored.
+    """Maps of some steps as they are stored."""
 
-    Attributes
-    ----------
-    scene : uint16 (N, 64, 64)
-    ee_row : int32 (N,)
-        Row of every step's end-effector map in the two arrays below.
-    ee_depth : uint16 (M, 2, 112, 112)
-    ee_mask : uint8 (M, 2, 112, 14)
-    """
-
-    scene: Array
-    ee_row: Array
-    ee_depth: Array
-    ee_mask: Array
+    scene: Array  # uint16 (N, 64, 64)
+    ee_row: Array  # int32 (N,): row of every step's end-effector map in the two arrays below
+    ee_depth: Array  # uint16 (M, 2, 112, 112)
+    ee_mask: Array  # uint8 (M, 2, 112, 14)
 
 
 def _stacked(maps: Sequence[Array], like: tuple[int, ...], dtype: str) -> Array:
@@ -103,18 +94,7 @@ def encode_episodes(episodes: Sequence[Episode]) -> tuple[pa.Table, pa.Table, En
 
 
 class BlockWriter:
-    """Writes a block from pieces, in order; the bytes do not depend on how it was cut.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the block, empty or not there.
-
-    Raises
-    ------
-    StorageError
-        From any method: the disk is full or may not be written.
-    """
+    """Writes a block into an empty or new folder, in order; its bytes do not depend on how the calls divide it."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -161,14 +141,7 @@ def _replaced(table: pa.Table, name: str, values: Array) -> pa.Table:
 
 
 class BlockReader:
-    """Reads a block.
-
-    Parameters
-    ----------
-    folder : Path
-    repair_hint : callable
-        Hint of an error about a path in it: what brings the file back.
-    """
+    """Reads a block; ``repair_hint`` gives the hint of an error about a path in it."""
 
     def __init__(self, folder: Path, repair_hint: RepairHint = ask_verify) -> None:
         self.folder = folder

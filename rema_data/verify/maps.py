@@ -27,21 +27,9 @@ MapsReport = Callable[[str, str, str, str], None]
 def check_maps(
     reader: MapsReader, names: Collection[str], report: MapsReport, advance: Callable[[int], None]
 ) -> dict[str, int]:
-    """Check arrays of a block.
+    """Check the arrays ``names`` of a block, whose files are whole; the rows of every array that was checked.
 
-    Parameters
-    ----------
-    reader : MapsReader
-    names : collection of str
-        Arrays whose files are whole; the others are left out.
-    report : callable
-    advance : callable
-        Called with the number of rows done.
-
-    Returns
-    -------
-    dict of str to int
-        Rows of every array that was checked.
+    ``advance`` is called with the number of rows done.
     """
     known: dict[bytes, int] = {}
     for name in sorted(names):

@@ -43,19 +43,10 @@ def check_tables(
     *,
     gaps: bool = False,
 ) -> None:
-    """Check the tables of a block.
+    """Check the tables of a block against each other, ``entry``, and the rows of the map arrays that could be read.
 
-    Parameters
-    ----------
-    entry : BlockEntry
-        What the manifest says about the block.
-    episodes, steps : Table
-    map_rows : dict of str to int
-        Rows of the map arrays that could be read.
-    report : callable
-    gaps : bool
-        Whether episodes may be missing, as in an import from which some were deleted: those that stay keep their
-        numbers, which with the seed say how they were drawn.
+    ``gaps`` allows missing episodes, as in an import from which some were deleted: those that stay keep their numbers,
+    which with the seed say how they were drawn.
     """
     for file, what, found, said in _counts(entry, episodes, steps, map_rows):
         if found != said:
