@@ -169,7 +169,7 @@ def _advice(
 
 def _published_with(holder: str) -> str:
     """The published release that has files in a folder of releases: ``rema download`` knows no other name."""
-    names = [entry.name for entry in published()]
+    names = published()
     for name in () if holder in names else names:
         with suppress(RemaError):
             if any(file.holder == holder for file in load_published(name).files):

@@ -33,7 +33,7 @@ class ReleaseState:
 
 def local_releases() -> tuple[ReleaseState, ...]:
     """Releases in the folders where rema looks for them; the published ones in the order of their publication."""
-    index = {entry.name: entry.sha256 for entry in published()}
+    index = published()
     found = []
     for root in dict.fromkeys(path.resolve() for path in (downloads_folder(), *local_sources()) if path.is_dir()):
         names = {path.parent.name for path in root.glob(f"*/{MANIFEST}")}

@@ -16,7 +16,7 @@ from rema_data.download.sources import Source
 from rema_data.errors import StorageError
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, FileEntry
-from rema_data.release.seal import file_sha256
+from rema_data.storage import file_sha256
 
 __all__ = ["BlockPlan", "DownloadReport", "Plan", "check_space", "make_plan"]
 

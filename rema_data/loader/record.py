@@ -5,7 +5,6 @@ Opening looks at sizes and headers, which takes a millisecond; ``damaged_files``
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from collections.abc import Mapping, Sequence
@@ -17,7 +16,7 @@ import numpy as np
 
 from rema_data.loader.decode import MAP_ARRAYS
 from rema_data.loader.index import INDEX_DTYPE
-from rema_data.storage import write_atomic
+from rema_data.storage import file_sha256, write_atomic
 
 __all__ = ["CACHE_VERSION", "damaged_files", "has_digests", "is_whole", "read_record", "write_record"]
 
@@ -79,8 +78,7 @@ def damaged_files(folder: Path) -> tuple[str, ...]:
 def _sha256(path: Path) -> str:
     """Of a file; empty where it cannot be read."""
     try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        return file_sha256(path)
     except OSError:
         return ""
 

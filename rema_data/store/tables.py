@@ -43,6 +43,7 @@ __all__ = [
     "steps_table",
     "table_version",
     "to_parquet",
+    "with_column",
 ]
 
 _SPEC = tuple(field.name for field in dataclasses.fields(ObjectSpec))
@@ -174,6 +175,13 @@ def complete(table: pa.Table, columns: tuple[Column, ...]) -> pa.Table:
 def as_stored(table: pa.Table, columns: tuple[Column, ...]) -> pa.Table:
     """A table without the columns that are newer than its own version, so that it can be written as it was read."""
     return table.select([column.name for column in columns_at(columns, table_version(table))])
+
+
+def with_column(table: pa.Table, name: str, values: Any) -> pa.Table:
+    """A table with other values in one of its columns."""
+    position = table.schema.get_field_index(name)
+    field = table.schema.field(position)
+    return table.set_column(position, field, pa.array(values, field.type))
 
 
 def to_parquet(table: pa.Table) -> bytes:

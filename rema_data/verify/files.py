@@ -13,10 +13,9 @@ from rema_data.progress import Progress
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, BlockEntry, FileEntry
 from rema_data.release.registry import published
-from rema_data.release.seal import file_sha256
 from rema_data.repair import delete
 from rema_data.schema import TASKS
-from rema_data.storage import write_atomic
+from rema_data.storage import file_sha256, write_atomic
 from rema_data.verify.findings import Findings, Report
 
 __all__ = ["absent_blocks", "check_files", "check_manifest", "check_unexpected", "repair"]
@@ -29,7 +28,7 @@ def check_manifest(release: ReleaseFolder, findings: Findings) -> set[str]:
     """
     manifest, copy = release.manifest, release.path / MANIFEST
     location = f"{manifest.name}/{MANIFEST}"
-    known = {entry.name: entry.sha256 for entry in published()}.get(manifest.name)
+    known = published().get(manifest.name)
     if known is not None and known != manifest.sha256:
         findings.add(
             "manifest",
