@@ -81,7 +81,7 @@ def decode_heights(stored: Heights) -> npt.NDArray[np.int16]:
     """Heights as whole numbers of 0.1 mm above the table, int16. Raises IntegrityError as ``dequantise`` does."""
     top = int(stored.max()) if stored.size else 0
     if top > np.iinfo(np.int16).max:
-        what = "a value is missing" if top == MISSING else f"the value {top} is no height"
+        what = "a value is missing" if top == MISSING else f"the value {top} is not a height"
         raise IntegrityError(
             f"in a height map {what}",
             hint="find the damaged file: `rema verify`, with the name or the folder of the release",

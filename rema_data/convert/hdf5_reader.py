@@ -173,7 +173,7 @@ class _File:
                 if not isinstance(value, str):
                     raise self._contradiction(name, f"has the {column.name} {value!r}")
             elif getattr(value, "dtype", None) != column.type or value.shape:
-                raise self._contradiction(name, f"has the {column.name} {value!r}, which is no {column.type}")
+                raise self._contradiction(name, f"has the {column.name} {value!r}, which is not {column.type}")
             else:
                 value = value.item()
             row[column.name] = value

@@ -75,7 +75,7 @@ def import_release(
     Raises
     ------
     InputError
-        The name cannot be one, or the files are no export, not of one release, or without episodes.
+        The name cannot be one, or the files are not an export, not of one release, or without episodes.
     MissingFileError
         A file is not there.
     IntegrityError
@@ -86,7 +86,7 @@ def import_release(
         The disk is full or may not be written.
     """
     progress = progress or Silent()
-    reader = find_format(format) if isinstance(format, str) else format
+    reader = find_format(format)
     if name is not None:
         check_name(name)
     with reader.read(sources) as source, storage_errors(root):

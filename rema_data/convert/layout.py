@@ -104,7 +104,7 @@ def to_array(values: pa.ChunkedArray, column: Column) -> Array:
         blank = pc.equal(values, "") if column.type == "string" else pc.is_nan(values)
         if pc.any(blank).as_py():
             raise IntegrityError(
-                f"column {column.name} holds a value that is no value",
+                f"column {column.name} holds a value that stands for null",
                 hint="find the damaged file: `rema verify`, with the name or the folder of the release",
                 column=column.name,
             )

@@ -55,7 +55,7 @@ def export_release(
     StorageError
         The disk is full or may not be written.
     """
-    writer = find_format(format) if isinstance(format, str) else format
+    writer = find_format(format)
     blocks = release.manifest.select(tasks, rounds, split)
     release.require(blocks)
     plan = ExportPlan(release, blocks, target, options or ExportOptions())

@@ -57,15 +57,6 @@ class DecodedCache:
         self.folder: Path | None = folder
 
     @cached_property
-    def _record(self) -> dict[str, Any]:
-        return read_record(self._path)
-
-    @property
-    def _path(self) -> Path:
-        assert self.folder is not None
-        return self.folder
-
-    @cached_property
     def maps(self) -> MapArrays:
         """The maps, mapped into memory, read-only."""
         return MapArrays(**{name: self._map(name) for name in MAP_ARRAYS})
@@ -78,17 +69,19 @@ class DecodedCache:
     @cached_property
     def categories(self) -> Categories:
         """Values of the index's text columns."""
-        found: Categories = self._record["categories"]
+        assert self.folder is not None
+        found: Categories = read_record(self.folder)["categories"]
         return found
 
     def _map(self, name: str) -> Array:
+        assert self.folder is not None
         try:
-            return np.asarray(np.load(self._path / f"{name}.npy", mmap_mode="r"))
+            return np.asarray(np.load(self.folder / f"{name}.npy", mmap_mode="r"))
         except (OSError, ValueError) as error:
             raise MissingFileError(
-                f"the decoded cache {self._path} was removed or damaged while it was in use",
+                f"the decoded cache {self.folder} was removed or damaged while it was in use",
                 hint="load the release again: rema_data.load builds it",
-                path=str(self._path),
+                path=str(self.folder),
             ) from error
 
     def __getstate__(self) -> dict[str, Any]:

@@ -53,7 +53,7 @@ class StepDataset(Dataset[StepBatch | FloatBatch]):
 
     def __init__(self, cache: DecodedCache, selected: Array, identity: str, maps: Delivery = "quantised") -> None:
         if maps not in ("quantised", "float32"):
-            raise InputError(f"maps={maps!r} is no way to deliver maps", hint="use maps='quantised' or maps='float32'")
+            raise InputError(f"maps={maps!r} is unknown", hint="use maps='quantised' or maps='float32'")
         self.delivery: Delivery = maps
         self._cache = cache
         self._selected = selected

@@ -40,7 +40,7 @@ def whole(name: str, value: Any, least: int) -> int:
 
 def one_of(name: str, value: Any, choices: Sequence[Any]) -> None:
     """Raise InputError where a value is not one of the choices."""
-    if not any(value is choice or (isinstance(choice, str) and value == choice) for choice in choices):
+    if value not in choices:
         raise InputError(f"{name}={value!r} is unknown", hint=f"use one of {', '.join(map(repr, choices))}")
 
 

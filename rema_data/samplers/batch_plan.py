@@ -22,7 +22,7 @@ Counts = npt.NDArray[np.int64]
 Anchor = tuple[int, list[int]]
 """A number of draws since the start of training, and how many of them each stratum had."""
 LONGEST_PERIOD = 4096
-"""Batches after which shares that are no simple fractions come out even."""
+"""Batches after which shares that are not simple fractions are met exactly."""
 REPLAY = 2**18
 """Draws of a lottery that are replayed at a time."""
 

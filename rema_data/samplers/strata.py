@@ -16,7 +16,7 @@ from rema_data.errors import InputError
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Label", "Strata", "column_of", "describe_label", "label_text", "stratify", "table_of"]
+__all__ = ["Label", "Strata", "column_of", "label_text", "stratify", "table_of"]
 
 Label = tuple[Any, ...]
 """Values of the columns that make a stratum, in their order."""
@@ -78,11 +78,6 @@ def label_text(by: Sequence[str], label: Label) -> str:
     return ", ".join(f"{name}={value}" for name, value in zip(by, label, strict=True))
 
 
-def describe_label(by: Sequence[str], label: Label) -> str:
-    """A label in words, as errors call it."""
-    return f"the stratum {label_text(by, label)}"
-
-
 def stratify(table: Any, by: Sequence[str], on_empty: str = "raise") -> Strata:
     """Group the rows of a table by its columns ``by``.
 
@@ -121,7 +116,8 @@ def stratify(table: Any, by: Sequence[str], on_empty: str = "raise") -> Strata:
     if len(empty) and on_empty == "raise":
         label = _label(int(empty[0]), columns, shape)
         raise InputError(
-            f"{describe_label(by, label)} has no rows" + (f" (and {len(empty) - 1} more)" if len(empty) > 1 else ""),
+            f"the stratum {label_text(by, label)} has no rows"
+            + (f" (and {len(empty) - 1} more)" if len(empty) > 1 else ""),
             hint='select other data, or pass on_empty="renormalise" to share its draws among its neighbours',
             strata=tuple(label_text(by, _label(int(code), columns, shape)) for code in empty),
         )

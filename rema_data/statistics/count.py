@@ -6,7 +6,7 @@ An episode counts once at every step that it executed: it *reaches* the step, wh
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -20,8 +20,21 @@ from rema_data.store.block import BlockReader
 __all__ = ["Statistics", "StepCount", "TaskTotal", "count"]
 
 
+class _Counted:
+    """What is counted of a step: the episodes that reached it, and those in which it succeeded."""
+
+    __slots__ = ()
+    reached: int
+    positives: int
+
+    @property
+    def negatives(self) -> int:
+        """Episodes that ended here with a failure."""
+        return self.reached - self.positives
+
+
 @dataclass(frozen=True, slots=True)
-class StepCount:
+class StepCount(_Counted):
     """One step of one block."""
 
     round: int
@@ -34,14 +47,9 @@ class StepCount:
     reached: int  # episodes that executed the step
     positives: int  # those in which it succeeded
 
-    @property
-    def negatives(self) -> int:
-        """Episodes that ended here with a failure."""
-        return self.reached - self.positives
-
 
 @dataclass(frozen=True, slots=True)
-class TaskTotal:
+class TaskTotal(_Counted):
     """One task over all rounds and splits that are on this machine."""
 
     task: str
@@ -49,11 +57,6 @@ class TaskTotal:
     reached: int  # last steps that were executed
     positives: int
     executed: int  # steps of all positions
-
-    @property
-    def negatives(self) -> int:
-        """Last steps that failed."""
-        return self.reached - self.positives
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,8 @@ class Statistics:
 
     def totals(self) -> tuple[TaskTotal, ...]:
         """Sums by task, in the order of ``TASKS``."""
-        return tuple(_total(task, rows) for task, rows in _by_task(self.steps).items())
+        by_task = {task: [row for row in self.steps if row.task == task] for task in TASKS}
+        return tuple(_total(task, rows) for task, rows in by_task.items() if rows)
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain dictionaries and numbers, ready for JSON."""
@@ -79,13 +83,6 @@ class Statistics:
             "tasks": [asdict(row) | {"negatives": row.negatives} for row in self.totals()],
             "missing": [asdict(block) for block in self.missing],
         }
-
-
-def _by_task(steps: Iterable[StepCount]) -> Mapping[str, list[StepCount]]:
-    grouped: dict[str, list[StepCount]] = {task: [] for task in TASKS}
-    for row in steps:
-        grouped[row.task].append(row)
-    return {task: rows for task, rows in grouped.items() if rows}
 
 
 def _total(task: str, rows: list[StepCount]) -> TaskTotal:

@@ -219,7 +219,7 @@ def read_table(path: Path, columns: tuple[Column, ...], repair_hint: RepairHint 
     """
     try:
         table = pq.read_table(path, page_checksum_verification=True)
-        found = table.schema.names  # decoded here: damaged names are no text
+        found = table.schema.names  # decoded here: damaged names are not text
     except FileNotFoundError:
         raise MissingFileError(f"table {path} does not exist", hint=repair_hint(path), path=str(path)) from None
     except (pa.ArrowException, ValueError, OSError) as error:

@@ -24,7 +24,7 @@ from rema_data.verify.tables import check_tables
 __all__ = ["verify"]
 
 _UNREADABLE = (RemaError, pa.ArrowException, ValueError, KeyError, OSError)
-"""What reading a table can raise on bytes that are no table."""
+"""What reading a table can raise on bytes that are not a table."""
 
 
 def verify(

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["LISTED_OF_A_KIND", "Finding", "Findings", "Report", "rows_of"]
+__all__ = ["LISTED_OF_A_KIND", "Add", "Finding", "Findings", "Report", "rows_of"]
+
+Add = Callable[[str, str, str, str], None]
+"""Reports something in a block: kind, file inside the block, place in it, and detail."""
 
 LISTED_OF_A_KIND = 20
 """So many findings of one kind are listed; further ones are counted."""

@@ -5,7 +5,7 @@ All checks work on whole columns. Each rule reports once, with the rows that bre
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,9 +18,9 @@ from rema_data.release.manifest import BlockEntry
 from rema_data.schema import TASKS, Embodiment, Failure, Primitive, Shape, pinch_step, skill, tool_steps
 from rema_data.store.block import EPISODES, STEPS
 from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS
-from rema_data.verify.findings import rows_of
+from rema_data.verify.findings import Add, rows_of
 
-__all__ = ["PUSH_SUCCESS_M", "TablesReport", "check_tables"]
+__all__ = ["PUSH_SUCCESS_M", "check_tables"]
 
 PUSH_SUCCESS_M = 0.10
 """A push succeeds when the object has moved at least this far in +x (paper, tasks "push" and "grasp -> push")."""
@@ -30,8 +30,6 @@ _SPEC = ("shape", "length_m", "width_m", "arm_m", "height_m")
 _OBJECTS = ("target", "tool0", "tool1", "pinch")
 _COUNTED = ("lift_m", "peak_force_n", "contact_steps", "illegal_steps", "sim_steps")
 Array = npt.NDArray[Any]
-TablesReport = Callable[[str, str, str, str], None]
-"""Called with kind, file inside the block, place in it, and detail."""
 
 
 def check_tables(
@@ -39,7 +37,7 @@ def check_tables(
     episodes: pa.Table,
     steps: pa.Table,
     map_rows: dict[str, int],
-    report: TablesReport,
+    report: Add,
     *,
     gaps: bool = False,
 ) -> None:
@@ -78,9 +76,7 @@ def _counts(
 class _Check:
     """One block while it is checked."""
 
-    def __init__(
-        self, entry: BlockEntry, episodes: pa.Table, steps: pa.Table, report: TablesReport, gaps: bool
-    ) -> None:
+    def __init__(self, entry: BlockEntry, episodes: pa.Table, steps: pa.Table, report: Add, gaps: bool) -> None:
         self.entry = entry
         self.kinds = TASKS[entry.task]
         self.table = steps
