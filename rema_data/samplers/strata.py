@@ -114,12 +114,11 @@ def stratify(table: Any, by: Sequence[str], on_empty: str = "raise") -> Strata:
     implied = _implied(counts.reshape(shape), [values for _, values in columns])
     empty = implied[counts[implied] == 0]
     if len(empty) and on_empty == "raise":
-        label = _label(int(empty[0]), columns, shape)
+        labels = tuple(label_text(by, _label(int(code), columns, shape)) for code in empty)
         raise InputError(
-            f"the stratum {label_text(by, label)} has no rows"
-            + (f" (and {len(empty) - 1} more)" if len(empty) > 1 else ""),
+            f"the stratum {labels[0]} has no rows" + (f" (and {len(labels) - 1} more)" if len(labels) > 1 else ""),
             hint='select other data, or pass on_empty="renormalise" to share its draws among its neighbours',
-            strata=tuple(label_text(by, _label(int(code), columns, shape)) for code in empty),
+            strata=labels,
         )
     kept = np.flatnonzero(counts)
     if len(kept) > MOST_STRATA:

@@ -231,7 +231,7 @@ def test_damaged_states_are_refused(match: str, change: dict[str, Any]) -> None:
 
 def test_more_damaged_states() -> None:
     for nothing in ({}, None, [1]):
-        with pytest.raises(InputError, match="no state of a sampler"):
+        with pytest.raises(InputError, match="not a state of a sampler"):
             made().load_state_dict(nothing)  # type: ignore[arg-type]
     state = made("average").state_dict()
     for anchor in ([1, [1] * 8], [0, [0] * 7], [0, [1, -1, 0, 0, 0, 0, 0, 0]], [], [10**6, [125_000] * 8]):
