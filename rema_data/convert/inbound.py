@@ -26,23 +26,12 @@ _NAMED = 3
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """What an import made.
-
-    Attributes
-    ----------
-    release : ReleaseFolder
-    original : Manifest
-        Of the release that was exported.
-    differences : tuple of str
-        Why the identity is another one than the original's; empty where it is the same.
-    notes : tuple of str
-        What the files hold that was not imported.
-    """
+    """What an import made."""
 
     release: ReleaseFolder
-    original: Manifest
-    differences: tuple[str, ...]
-    notes: tuple[str, ...]
+    original: Manifest  # of the release that was exported
+    differences: tuple[str, ...]  # why the identity is not the original's; empty where it is
+    notes: tuple[str, ...]  # what the files hold that was not imported
 
     @property
     def identical(self) -> bool:
@@ -70,7 +59,6 @@ def import_release(
         By default that of the release that was exported.
     format : str or Format
         By default robomimic's HDF5; the name of an installed format, or the format itself.
-    progress : Progress, optional
 
     Raises
     ------

@@ -51,8 +51,8 @@ class Mirrors:
 
     def given_up(self) -> dict[Source, str]:
         """Sources that have been given up, with what they said last."""
-        with self._lock:
-            return {source: self._said[source] for source in self._sources if self._strikes[source] >= self._patience}
+        usable = self.usable()
+        return {source: self._said[source] for source in self._sources if source not in usable}
 
     def settle(self, winner: Source | None, failed: Mapping[Source, str]) -> None:
         """A file is done with: ``winner`` has delivered it, ``failed`` should have, and said why they could not."""

@@ -71,23 +71,9 @@ def seal(
 ) -> ReleaseFolder:
     """Turn a folder of blocks into the release ``root / about.name``.
 
-    Parameters
-    ----------
-    staging : Path
-        Holds the folders of ``keys``; on the same file system as ``root``. It is renamed.
-    root : Path
-        Folder of releases.
-    about : Description
-    keys : sequence of BlockKey
-        New blocks, in the order in which they are listed.
-    fingerprint : dict
-        Of the simulator.
-    plan_sha256 : str
-        Of the collection plan, where there was one.
-    parent : Manifest, optional
-        The release that this one continues.
-    reused : sequence of BlockKey
-        Blocks of ``parent`` that belong to this release too; they stay where they are.
+    ``staging`` holds the new blocks, ``keys``; it lies on the file system of ``root``, the folder of releases, and is
+    renamed. ``reused`` are blocks of ``parent``, the release that this one continues, that belong to this release too;
+    they stay where they are. ``fingerprint`` is the simulator's.
 
     Raises
     ------

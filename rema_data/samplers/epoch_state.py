@@ -72,19 +72,14 @@ class ResumableOrder(ABC):
             self._move(int(epoch), 0, resumed=True)
 
     def state_dict(self, consumed: int | None = None) -> dict[str, Any]:
-        """Where to go on.
+        """Where to go on, as plain values for JSON or ``torch.save``.
 
         Parameters
         ----------
         consumed : int, optional
-            Batches that the training loop has taken from the current iterator. Needed with workers of torch's own
-            ``DataLoader``, which draws ahead; torchdata's ``StatefulDataLoader`` keeps count by itself. By default, all
-            that were handed out.
-
-        Returns
-        -------
-        dict
-            Of plain values: JSON and ``torch.save`` keep it.
+            Batches that the training loop has taken from the current iterator; by default all that were handed out.
+            Needed with workers of torch's own ``DataLoader``, which draws ahead; torchdata's ``StatefulDataLoader``
+            keeps count.
 
         Raises
         ------

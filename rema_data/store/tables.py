@@ -205,15 +205,15 @@ def to_parquet(table: pa.Table) -> bytes:
 
 
 def read_table(path: Path, columns: tuple[Column, ...], repair_hint: RepairHint = ask_verify) -> pa.Table:
-    """A table of a block, checked against its schema; ``repair_hint`` gives the hint about a damaged or missing one.
+    """A table of a block with all ``columns``, checked; those that are newer than the file hold their default.
 
-    It has all ``columns``: those that are newer than the table hold their default. ``table_version`` still gives the
-    version in which it is stored.
+    ``table_version`` still gives the version in which it is stored. ``repair_hint`` gives the hint about a damaged
+    file.
 
     Raises
     ------
     MissingFileError
-        It is not there.
+        It does not exist.
     IntegrityError
         It is not a whole Parquet file, or has columns of no schema version that this rema knows.
     """
