@@ -121,7 +121,7 @@ def mirror(
     pair: bool | Tensor = False,
     chosen: bool | Tensor = True,
 ) -> tuple[Tensor, Tensor, list[Tensor]]:
-    """Mirror images in y: the world as seen in a mirror that stands along +x.
+    """Mirror images in y: the world as a mirror along +x shows it.
 
     ``maps`` are end-effector maps, (N, ..., 112, 112) or packed uint8 (N, ..., 112, 14); they come back as a list.
     ``pair`` and ``chosen``, a truth value or bool (N,), tell where two hands act as one, and which steps to mirror: the

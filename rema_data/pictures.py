@@ -1,4 +1,4 @@
-"""Pictures of steps: what was seen, what was done, and what came of it, as a PNG sheet or a page of HTML.
+"""Pictures of steps: observation, action and outcome, as a PNG sheet or a page of HTML.
 
 Needs pillow, which belongs to the extra ``report``.
 """

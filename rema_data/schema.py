@@ -68,7 +68,7 @@ class Embodiment(StrEnum):
 
 
 class StepKind(NamedTuple):
-    """What one step of a task asks for. How it is carried out stands in ``evaluator.sim.kinds``."""
+    """What one step of a task asks for. ``evaluator.sim.kinds`` carries it out."""
 
     primitive: Primitive
     embodiment: Embodiment
@@ -296,7 +296,7 @@ def _measured(default: Any, meaning: str, unit: str = "", frame: str = "", since
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
-    """What was measured in one step: each field is a column of every table of steps, and its meaning stands beside it.
+    """What was measured in one step: each field is a column of every table of steps, and carries its meaning.
 
     A new field is nullable (``float | None``) with the default ``None``, and names the schema version that adds it:
     ``since``; raise ``SCHEMA_VERSION`` too. In the rows of earlier releases it is null.
@@ -332,7 +332,7 @@ class StepOutcome(Evidence):
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One executed step: what the simulator was given, what the policy saw and did, and what came of it."""
+    """One executed step: what the simulator was given, what the policy saw and did, and the outcome."""
 
     situation: Situation
     observation: Observation

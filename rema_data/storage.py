@@ -31,7 +31,7 @@ _STORAGE = {
     errno.EISDIR: "there is a folder of that name",
     errno.ENOENT: "the folder cannot be created",
     errno.ENAMETOOLONG: "the name is too long",
-    errno.ELOOP: "the path is a circle of links",
+    errno.ELOOP: "the path is a loop of links",
 }
 
 

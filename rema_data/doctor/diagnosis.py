@@ -1,4 +1,4 @@
-"""Everything together: what was found, what is wrong, and what would be better."""
+"""The diagnosis: the state of this machine, its problems and advice."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ _PASSING = {HTTPStatus.REQUEST_TIMEOUT, HTTPStatus.TOO_EARLY, HTTPStatus.TOO_MAN
 
 
 class Refused(Exception):
-    """The source will not deliver this file, however often it is asked; ``absent`` where it only lacks the file."""
+    """The source will not deliver this file, not even later; ``absent`` where it only lacks the file."""
 
     def __init__(self, why: str, *, absent: bool = False) -> None:
         super().__init__(why)

@@ -43,7 +43,7 @@ def download(
     """Bring a release, or a part of it, onto this machine.
 
     A file that is here with its size is not fetched again (``rema verify`` rehashes). Every other file is fetched to
-    ``FILE.part``, goes on where an earlier run stopped, and gets its name when its sha256 is the manifest's. Blocks
+    ``FILE.part``, resumed where an earlier run stopped, and renamed when its sha256 is the manifest's. Blocks
     that the release shares with an earlier one land in the earlier one's folder, once.
 
     Parameters
@@ -75,13 +75,13 @@ def download(
     InputError
         There is no such release, task, round or split, or a source cannot be one.
     MissingFileError
-        A file could not be had from any source. The others are here.
+        No source has delivered a file. The others are here.
     IntegrityError
         The same, and a source sent other bytes than those of the release.
     RunMismatchError
         Another release of the same name is in the way.
     StorageError
-        The disk is full or may not be written. What has arrived stays, and the next run goes on from there.
+        The disk is full or may not be written. What has arrived stays, and the next run resumes.
     """
     if jobs is not None and jobs < 1:
         raise InputError(f"{jobs} files at a time is not possible", hint="use --jobs 1 or more", jobs=jobs)

@@ -1,4 +1,4 @@
-"""What a download has to fetch (which files are wanted, here and missing), and the report of what it has done."""
+"""What a download has to fetch (files that are asked for, present and missing), and the report of what it has done."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """One file, from one source after the other, until it is whole and its sha256 is right.
 
 The sources are asked in order, and the next one at once where one fails. Only when all have failed does a thread wait,
-and asks again those that may recover. A connection that drops goes on at the byte where it stopped.
+and asks again those that may recover. A dropped connection resumes at the byte where it stopped.
 """
 
 from __future__ import annotations
@@ -155,7 +155,7 @@ class Transfer:
                 raise Refused(f"sent other bytes than the release has (expected sha256 {self.entry.sha256[:12]}...)")
 
     def _stream(self, part: PartFile, source: Source) -> None:
-        """One connection, from where the file stands to its end."""
+        """One connection, from the next missing byte to the end."""
         self._raise_if_stopped()
         with source.open(self.entry.location, part.position, part.size) as (start, read):
             skip = part.position - start

@@ -137,7 +137,7 @@ class WebFolder:
             return None
 
     def _login(self, parts: SplitResult, header: str) -> dict[str, str]:
-        """For a URL: what stands in it, or in the source's URL where that is the same server, or in ``.netrc``."""
+        """User and password for a URL: its own, those of the source's URL (same server), or those of ``.netrc``."""
         if parts.username is None and (parts.scheme, _netloc(parts)) == (self._url.scheme, _netloc(self._url)):
             parts = self._url
         found = None if self._netrc is None else self._netrc.authenticators(parts.hostname or "")

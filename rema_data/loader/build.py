@@ -56,7 +56,7 @@ def open_cache(
     StorageError
         The folder cannot be written or is full.
     IntegrityError, MissingFileError
-        A file of the release is damaged or gone.
+        A file of the release is damaged or missing.
     """
     folder = caches_folder() if folder is None else folder
     path = folder / cache_name(release, blocks)
@@ -145,7 +145,7 @@ def _build(release: ReleaseFolder, blocks: Sequence[BlockEntry], path: Path, pro
 
 @contextmanager
 def _cache_errors(path: Path) -> Iterator[None]:
-    """As ``storage_errors``, with the ways around a cache that cannot be written."""
+    """As ``storage_errors``, with hints for a cache that cannot be written."""
     try:
         with storage_errors(path):
             yield

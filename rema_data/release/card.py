@@ -1,6 +1,6 @@
 """The card of a release: datasheet, Croissant description, licence and citation, written beside the data.
 
-Every byte follows from the manifest: sealing the same data twice gives the same card.
+The card depends on the manifest only: sealing the same data twice gives the same bytes.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Sealing: a folder of blocks becomes a release, once and for all.
+"""Sealing: a folder of blocks becomes a release, which never changes.
 
 The manifest is written last, then the folder gets its name: a release that can be found is whole. Its files are made
 read-only; a later change is a new release.

@@ -182,7 +182,7 @@ class BalancedSampler(ResumableOrder):
             "seed": self.seed,
             "strata": len(self.strata.labels),
             "dataset": self.fingerprint,
-            # what could once be chosen: states of that time go on
+            # former options: states that have them can still be loaded
             "target": "uniform",
             "replacement": "cycle",
             "rows of a shorter batch": 0,

@@ -36,7 +36,7 @@ class SamplerReport:
 
     strata: tuple[StratumReport, ...]
     draws: int  # over all ranks
-    warnings: tuple[str, ...]  # of strata that are drawn more often than by nature, and whose rows repeat too often
+    warnings: tuple[str, ...]  # of strata that are drawn above their natural share, and whose rows repeat too often
 
     def to_frame(self) -> pd.DataFrame:
         """One row a stratum."""

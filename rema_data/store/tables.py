@@ -128,7 +128,7 @@ def situation_of(row: Mapping[str, Any]) -> Situation:
 
 
 def outcome_of(row: Mapping[str, Any]) -> StepOutcome:
-    """What came of the step of a row. What it left in the hand stands in the row of the next step."""
+    """The outcome of the step of a row. What it left in the hand is stored with the next step."""
     failure = None if row["failure"] is None else Failure(row["failure"])
     return StepOutcome(bool(row["success"]), failure, **{name: row[name] for name in EVIDENCE})
 
@@ -195,7 +195,7 @@ def to_parquet(table: pa.Table) -> bytes:
         compression_level=9,
         row_group_size=max(1, table.num_rows),
         data_page_size=1 << 20,
-        # Continuous numbers hardly repeat, a block is read whole, and what a column means stands in the card.
+        # Continuous numbers hardly repeat, a block is read whole, and the card says what a column means.
         use_dictionary=[field.name for field in table.schema if field.type != pa.float64()],
         write_statistics=False,
         write_page_checksum=True,

@@ -184,12 +184,12 @@ class _Check:
         return not foreign.any()
 
     def ends_of_episodes(self) -> None:
-        """An episode goes on until its first failed step, and takes its success and label from its last one."""
+        """An episode continues until its first failed step, and takes its success and label from its last one."""
         final = self.first + self.length - 1
         success, failed = self.steps["success"].astype(bool), self.episodes["failed_step"]
         goes_on = np.ones(len(success), bool)
         goes_on[final] = False
-        self.flag("episodes", ~success & goes_on, "the step failed, but the episode goes on")
+        self.flag("episodes", ~success & goes_on, "the step failed, but the episode continues")
         whole, won = self.length == len(self.kinds), self.episodes["success"].astype(bool)
         early = success[final] & ~whole
         self.flag("episodes", early, "the episode ends early, after a step that succeeded", EPISODES)
