@@ -85,7 +85,7 @@ timed(decode, "_check", "sha256 of the files")
 timed(MapsReader, "read", "reading and decompressing")
 timed(decode, "decode_heights", "fixed point to 0.1 mm")
 timed(build._FileSink, "put", "writing")
-timed(build, "_sync", "fsync")
+timed(build, "sync_file", "fsync")
 release = rema_data.load(sys.argv[1])
 began = time.perf_counter()
 opened = release.cache

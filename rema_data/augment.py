@@ -1,7 +1,8 @@
 """Augmentations of whole batches that keep label and picture together.
 
-Every function leaves the tensors that it is given as they are, works on any device, and takes its random numbers from a
-generator that is passed in. ``i`` is a row of the scene (world y), ``j`` a column (world x), ``k`` an angle; see
+Every function returns new tensors, works on any device, and takes its random numbers from the generator ``random``, of
+torch or numpy. ``scene`` is (N, 64, 64) or (N, 1, 64, 64), of any type; ``action`` int64 (N,), grid indices; other
+shapes raise InputError. ``i`` is a row of the scene (world y), ``j`` a column (world x), ``k`` an angle: see
 ``rema_data.grid``.
 
 ========== ============ ============================ =========================================
@@ -51,18 +52,10 @@ _SINES = tuple(round(math.sin(2 * math.pi * k / ANGLES), 15) for k in range(ANGL
 
 
 class Symmetry(NamedTuple):
-    """What may be done to a kind of step.
+    """What may be done to a kind of step."""
 
-    Attributes
-    ----------
-    angles : int
-        Angles among which a new yaw may be drawn; 0 where the step has a direction.
-    pair : bool
-        Whether a mirror image swaps two hands.
-    """
-
-    angles: int
-    pair: bool
+    angles: int  # among which a new yaw may be drawn; 0 where the step has a direction
+    pair: bool  # whether a mirror image swaps two hands
 
 
 def symmetry(primitive: str, embodiment: str) -> Symmetry:
@@ -74,23 +67,8 @@ def symmetry(primitive: str, embodiment: str) -> Symmetry:
 def translate(scene: Tensor, action: Tensor, random: Random) -> tuple[Tensor, Tensor]:
     """Move every scene by whole pixels, and its label with it, to a uniformly drawn place of the valid square.
 
-    Parameters
-    ----------
-    scene : Tensor (N, 64, 64) or (N, 1, 64, 64)
-        Heights of any type. Pixels that are vacated become 0, the table; what leaves the map is lost.
-    action : int64 Tensor (N,)
-        Grid index.
-    random : torch.Generator or numpy.random.Generator
-
-    Returns
-    -------
-    scene, action : Tensor
-        The label's pixel is inside the valid square; angles and end-effector maps do not change.
-
-    Raises
-    ------
-    InputError
-        The shapes do not fit.
+    Pixels that are vacated become 0, the table; what leaves the map is lost. Angles and end-effector maps do not
+    change.
     """
     _check(scene, action)
     i, j, k = _decode(action)
@@ -101,23 +79,10 @@ def translate(scene: Tensor, action: Tensor, random: Random) -> tuple[Tensor, Te
 
 
 def rotate(scene: Tensor, action: Tensor, random: Random, angles: int | Tensor = ANGLES) -> tuple[Tensor, Tensor]:
-    """Turn every scene so that its label gets a uniformly drawn angle.
+    """Turn every scene so that its label gets a uniformly drawn angle, as ``turn`` does.
 
-    Not for pushes: their direction is +x of the world whatever the yaw. See ``turn`` for what happens to scene and
-    label.
-
-    Parameters
-    ----------
-    scene : Tensor (N, 64, 64) or (N, 1, 64, 64)
-    action : int64 Tensor (N,)
-    random : torch.Generator or numpy.random.Generator
-    angles : int or int64 Tensor (N,)
-        16 for one hand, 8 for two, 0 to leave a step as it is: see ``symmetry``.
-
-    Raises
-    ------
-    InputError
-        The shapes do not fit.
+    Not for pushes: their direction is +x of the world whatever the yaw. ``angles``, a number or int64 (N,), is 16 for
+    one hand, 8 for two, and 0 to leave a step as it is: see ``symmetry``.
     """
     _check(scene, action)
     k = action % ANGLES
@@ -127,23 +92,11 @@ def rotate(scene: Tensor, action: Tensor, random: Random, angles: int | Tensor =
 
 
 def turn(scene: Tensor, action: Tensor, turns: Tensor) -> tuple[Tensor, Tensor]:
-    """Turn scenes, and labels with them, by sixteenths of a full turn (from +x to +y).
+    """Turn scenes, and labels with them, by ``turns`` (int64 (N,)) sixteenths of a full turn, from +x to +y.
 
     The label's pixel turns about the middle of the map, to the nearest pixel inside the valid square, and the scene
-    goes along as a rigid whole, so that the label stays on its very spot of the object. Quarter turns move whole
-    pixels; other turns take the nearest pixel, which keeps edges as sharp as they are observed.
-
-    Parameters
-    ----------
-    scene : Tensor (N, 64, 64) or (N, 1, 64, 64)
-        Pixels that come from outside of the map become 0.
-    action : int64 Tensor (N,)
-    turns : int64 Tensor (N,)
-
-    Raises
-    ------
-    InputError
-        The shapes do not fit.
+    turns with it as a rigid whole, so that the label stays on the same spot of the object. Quarter turns move whole
+    pixels; other turns take the nearest pixel, which keeps edges sharp. Pixels from outside of the map become 0.
     """
     _check(scene, action)
     i, j, k = _decode(action)
@@ -168,28 +121,11 @@ def mirror(
     pair: bool | Tensor = False,
     chosen: bool | Tensor = True,
 ) -> tuple[Tensor, Tensor, list[Tensor]]:
-    """Mirror images in y: the world as seen in a mirror that stands along +x.
+    """Mirror images in y: the world as a mirror along +x shows it.
 
-    Parameters
-    ----------
-    scene : Tensor (N, 64, 64) or (N, 1, 64, 64)
-    action : int64 Tensor (N,)
-    maps : sequence of Tensor (N, ..., 112, 112) or uint8 (N, ..., 112, 14)
-        End-effector maps, plain or with eight pixels of a row packed into a byte.
-    pair : bool or bool Tensor (N,)
-        Whether two hands act as one.
-    chosen : bool or bool Tensor (N,)
-        Which steps; the others, and pairs at ``k = 0``, are left as they are.
-
-    Returns
-    -------
-    scene, action : Tensor
-    maps : list of Tensor
-
-    Raises
-    ------
-    InputError
-        The shapes do not fit.
+    ``maps`` are end-effector maps, (N, ..., 112, 112) or packed uint8 (N, ..., 112, 14); they come back as a list.
+    ``pair`` and ``chosen``, a truth value or bool (N,), tell where two hands act as one, and which steps to mirror: the
+    others, and pairs at ``k = 0``, are left as they are.
     """
     _check(scene, action)
     for planes in maps:
@@ -249,14 +185,7 @@ class Augment:
         self._kinds = torch.from_numpy(np.stack([angles, pair], axis=1).astype(np.int8))
 
     def __call__(self, batch: Batch, random: Random) -> Batch:
-        """A new batch; the one that is passed in does not change.
-
-        Parameters
-        ----------
-        batch : StepBatch or FloatBatch
-        random : torch.Generator or numpy.random.Generator
-            On the CPU it draws the same for every device.
-        """
+        """A new batch; on the CPU, ``random`` draws the same for every device."""
         scene, action = batch.scene, batch.action
         self._kinds = self._kinds.to(batch.index.device)
         angles, pair = self._kinds[batch.index].long().unbind(1)

@@ -28,16 +28,9 @@ _MOST = np.iinfo(np.int32).max
 
 @dataclass(frozen=True, slots=True)
 class GalleryStep:
-    """A step to look at.
+    """A step to look at."""
 
-    Attributes
-    ----------
-    row : mapping
-        Of ``steps.parquet``: see ``rema_data.store.columns.STEP_COLUMNS``.
-    observation : Observation
-    """
-
-    row: Mapping[str, Any]
+    row: Mapping[str, Any]  # of ``steps.parquet``: see ``rema_data.store.columns.STEP_COLUMNS``
     observation: Observation
 
 
@@ -53,22 +46,10 @@ def find_steps(
     failure: str | None = None,
     count: int = 12,
 ) -> list[GalleryStep]:
-    """Steps of a release, in its order.
+    """Steps of the local blocks of a release, in its order.
 
-    Parameters
-    ----------
-    release : ReleaseFolder
-    tasks, rounds, split
-        Blocks to choose from; those that are on this machine.
-    episodes : collection of int
-        All steps of these episodes. Without, ``count`` steps that look drawn at random: always the same ones.
-    which : {"last", "picks", "all"}
-        Last steps of their task, the steps before them, or both; without ``episodes``.
-    success : bool, optional
-        Only steps that succeeded, or failed.
-    failure : str, optional
-        Only steps that failed for this reason.
-    count : int
+    With ``episodes``: all steps of these. Without: ``count`` steps that look drawn at random, always the same ones, of
+    the last steps of their task, the steps before them (picks), or all. ``success`` and ``failure`` select by outcome.
 
     Raises
     ------

@@ -64,19 +64,13 @@ def dequantise(stored: Heights) -> npt.NDArray[np.float32]:
     Raises
     ------
     IntegrityError
-        A value is missing.
+        A value is missing, or higher than int16 can say (3.26 m).
     """
     return decode_heights(stored) * np.float32(HEIGHT_STEP_M)
 
 
 def encode_heights(steps: npt.NDArray[Any]) -> Heights:
-    """Stored values of heights that are whole numbers of 0.1 mm (as in an ``Observation``).
-
-    Raises
-    ------
-    InputError
-        A height is out of the range of the format.
-    """
+    """Stored values of heights in whole 0.1 mm (as in an ``Observation``); InputError where one is out of range."""
     shifted = np.asarray(steps, np.int32) + HEIGHT_OFFSET_STEPS
     if shifted.size and not 0 <= shifted.min() <= shifted.max() <= _HIGHEST:
         raise InputError("a height is out of the range of the format", hint="heights are units of 0.1 mm, from -100 up")
@@ -84,16 +78,10 @@ def encode_heights(steps: npt.NDArray[Any]) -> Heights:
 
 
 def decode_heights(stored: Heights) -> npt.NDArray[np.int16]:
-    """Heights as whole numbers of 0.1 mm above the table, int16: the form of the decoded cache.
-
-    Raises
-    ------
-    IntegrityError
-        A value is missing, or higher than int16 can say (3.26 m).
-    """
+    """Heights as whole numbers of 0.1 mm above the table, int16. Raises IntegrityError as ``dequantise`` does."""
     top = int(stored.max()) if stored.size else 0
     if top > np.iinfo(np.int16).max:
-        what = "a value is missing" if top == MISSING else f"the value {top} is no height"
+        what = "a value is missing" if top == MISSING else f"the value {top} is not a height"
         raise IntegrityError(
             f"in a height map {what}",
             hint="find the damaged file: `rema verify`, with the name or the folder of the release",

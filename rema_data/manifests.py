@@ -17,15 +17,12 @@ _Read = TypeVar("_Read")
 
 
 def manifests_dir() -> Path:
-    """Folder of the manifests.
-
-    ``REMA_MANIFESTS`` names it where that is set; else it is ``manifests`` beside the packages of a checkout, and
-    ``_manifests`` inside ``rema_data`` of an installed wheel.
+    """Folder of the manifests: ``REMA_MANIFESTS``, else that of the checkout, else that of the installed wheel.
 
     Raises
     ------
     MissingFileError
-        None of them is a folder.
+        It is not a folder.
     """
     override = os.environ.get("REMA_MANIFESTS")
     package = Path(__file__).resolve().parent
@@ -40,21 +37,15 @@ def manifests_dir() -> Path:
 
 
 def read_manifest(path: Path, what: str, parse: Callable[[Any], _Read]) -> _Read:
-    """What a manifest says.
+    """What the JSON file ``path`` says; ``what`` is its name in messages, such as ``scenario manifest``.
 
-    Parameters
-    ----------
-    path : Path
-        A JSON file.
-    what : str
-        What it is, as messages call it: ``scenario manifest``.
-    parse : callable
-        Makes something of its content; a ValueError, KeyError, TypeError or AttributeError says that it cannot.
+    ``parse`` makes something of the content, and raises ValueError, KeyError, TypeError or AttributeError where it
+    cannot.
 
     Raises
     ------
     MissingFileError, IntegrityError
-        It is not there, or cannot be read.
+        The file does not exist, or cannot be read.
     """
     try:
         return parse(json.loads(path.read_bytes()))

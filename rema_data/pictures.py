@@ -1,16 +1,10 @@
-"""Pictures of steps: what was seen, what was done, and what came of it, as a PNG sheet or a page of HTML.
-
-Needs pillow, which belongs to the extra ``report``.
-"""
+"""Pictures of what a policy sees: scene and end-effector maps, with the action. Needs pillow (extra ``report``)."""
 
 from __future__ import annotations
 
-import base64
-import html
 import io
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,46 +12,35 @@ import numpy.typing as npt
 
 from rema_data import grid
 from rema_data.errors import InputError
-from rema_data.gallery import GalleryStep
 from rema_data.repair import install
-from rema_data.schema import HEIGHT_STEP_M, TASKS, Observation
-from rema_data.storage import write_atomic
+from rema_data.schema import HEIGHT_STEP_M, Observation
 
 if TYPE_CHECKING:
     from PIL import Image, ImageDraw
 
 __all__ = [
+    "FAINT",
     "GREEN",
     "INK",
     "LEGEND",
     "RED",
-    "SUFFIXES",
     "action_text",
-    "contact_sheet",
-    "describe",
     "end_effector_map",
     "outcome_text",
+    "pillow",
     "scene_map",
-    "tile",
     "to_png",
-    "write_pictures",
     "write_text",
 ]
 
-SUFFIXES = (".png", ".html")
 Pixels = npt.NDArray[np.float32]
 Colour = tuple[int, int, int]
 
-_SCENE, _HAND, _GAP, _MARGIN = 256, 124, 8, 12
-"""Screen pixels of a scene map and of an end-effector map, and what is left between them and around them."""
-_HEAD, _FOOT = 42, 42
-_TILE = (_MARGIN * 2 + _SCENE + _GAP + _HAND, _HEAD + _SCENE + _FOOT)
 _FINE = 2
 """Drawn so many times larger, then averaged: smooth lines."""
-_PAGE: Colour = (233, 231, 226)
 _PAPER: Colour = (255, 255, 255)
 INK: Colour = (31, 35, 40)
-_FAINT: Colour = (101, 109, 118)
+FAINT: Colour = (101, 109, 118)
 GREEN: Colour = (26, 127, 55)
 RED: Colour = (180, 35, 24)
 _ORANGE: Colour = (217, 119, 6)
@@ -67,22 +50,6 @@ _TABLE: Colour = (246, 244, 239)
 _OBJECT: Colour = (62, 72, 92)
 _TOP_M = 0.05
 """Height that is drawn darkest."""
-
-
-def describe(row: Mapping[str, Any]) -> tuple[str, str, str, str]:
-    """Where a step comes from, who acted, the action, and the evidence, each in one line."""
-    steps = len(TASKS[row["task"]])
-    evidence = f"lifted {row['lift_m'] * 100:.1f} cm"
-    if row["primitive"] == "push":
-        evidence = f"moved {row['displacement_m'] * 100:+.1f} cm in x"
-    if row["peak_force_n"] >= 0.5:
-        evidence += f", {row['peak_force_n']:.0f} N"
-    return (
-        f"{row['task']}, step {row['step'] + 1} of {steps}",
-        f"round {row['round']} {row['split']}, episode {row['episode']}, {row['policy']}",
-        action_text((row["i"], row["j"], row["k"]), (row["x_m"], row["y_m"], row["theta_rad"])),
-        f"{evidence}, {row['sim_steps']} simulation steps",
-    )
 
 
 def action_text(cell: tuple[int, int, int], pose: tuple[float, float, float]) -> str:
@@ -96,91 +63,8 @@ def outcome_text(row: Mapping[str, Any]) -> str:
     return "success" if row["success"] else str(row["failure"]).replace("_", " ")
 
 
-def tile(step: GalleryStep) -> Image.Image:
-    """One step: scene map with the action, end-effector maps, and captions.
-
-    Raises
-    ------
-    InputError
-        pillow is not installed.
-    """
-    image_module, draw_module = _pillow()
-    row = step.row
-    image: Image.Image = image_module.new("RGB", _TILE, _PAPER)
-    pose = row["x_m"], row["y_m"], row["theta_rad"]
-    push_m = math.inf if row["primitive"] == "push" else 0.0
-    image.paste(scene_map(step.observation, pose, push_m), (_MARGIN, _HEAD))
-    for state in range(2):
-        panel = end_effector_map(step.observation, state, _HAND)
-        image.paste(panel, (_MARGIN + _SCENE + _GAP, _HEAD + state * (_HAND + _GAP)))
-    draw = draw_module.Draw(image)
-    colour = GREEN if row["success"] else RED
-    draw.rectangle((0, 0, _TILE[0], 3), fill=colour)
-    place, who, action, evidence = describe(row)
-    write_text(draw, (_MARGIN, 6), place, 14, INK)
-    write_text(draw, (_MARGIN, 23), who, 11, _FAINT)
-    write_text(draw, (_TILE[0] - _MARGIN, 6), outcome_text(row), 14, colour, "ra")
-    write_text(draw, (_MARGIN, _HEAD + _SCENE + 6), action, 11, INK)
-    write_text(draw, (_MARGIN, _HEAD + _SCENE + 21), evidence, 11, _FAINT)
-    return image
-
-
-def contact_sheet(steps: Sequence[GalleryStep], title: str, columns: int = 3) -> Image.Image:
-    """Several steps in one picture.
-
-    Parameters
-    ----------
-    steps : sequence of GalleryStep
-    title : str
-    columns : int
-        Steps side by side.
-
-    Raises
-    ------
-    InputError
-        pillow is not installed, or there are no steps.
-    """
-    image_module, draw_module = _pillow()
-    if not steps:
-        raise InputError("there are no steps to draw", hint="choose some that exist")
-    columns = max(1, min(columns, len(steps)))
-    rows = -(-len(steps) // columns)
-    top = 40
-    size = columns * (_TILE[0] + _MARGIN) + _MARGIN, top + rows * (_TILE[1] + _MARGIN) + _HEAD
-    sheet: Image.Image = image_module.new("RGB", size, _PAGE)
-    draw = draw_module.Draw(sheet)
-    write_text(draw, (_MARGIN, 12), title, 16, INK)
-    for number, step in enumerate(steps):
-        row, column = divmod(number, columns)
-        sheet.paste(tile(step), (_MARGIN + column * (_TILE[0] + _MARGIN), top + row * (_TILE[1] + _MARGIN)))
-    _legend(draw, (_MARGIN, size[1] - 26))
-    return sheet
-
-
-def write_pictures(steps: Sequence[GalleryStep], path: Path, title: str, columns: int = 3) -> None:
-    """Write a contact sheet (``.png``), or a page that needs no other file (``.html``).
-
-    Raises
-    ------
-    InputError
-        pillow is not installed, or the file has another suffix.
-    StorageError
-        The file cannot be written.
-    """
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(
-            f"{path} is neither a PNG nor an HTML file",
-            hint=f"write --output {path.with_suffix('.png')}",
-            path=str(path),
-        )
-    if suffix == ".png":
-        write_atomic(path, to_png(contact_sheet(steps, title, columns)))
-    else:
-        write_atomic(path, _page(steps, title))
-
-
-def _pillow() -> tuple[Any, Any]:
+def pillow() -> tuple[Any, Any]:
+    """Modules ``Image`` and ``ImageDraw`` of pillow; raises InputError where it is not installed."""
     try:
         from PIL import Image, ImageDraw
     except ImportError as error:
@@ -193,28 +77,14 @@ def scene_map(
     pose: tuple[float, float, float],
     push_m: float = 0.0,
     goal_x_m: float | None = None,
-    pixels: int = _SCENE,
+    pixels: int = 256,
 ) -> Image.Image:
-    """The scene map, x to the right and y up, with the end effector at the place of the action.
+    """The scene map, x to the right and y up, with the end effector at the pose (x m, y m, yaw rad) of the action.
 
-    Parameters
-    ----------
-    observation : Observation
-    pose : (x, y, yaw)
-        Of the action; m, rad.
-    push_m : float
-        How far the action pushes in +x; 0 for a grasp. Where the way ends in the map, the end effector is there too.
-    goal_x_m : float, optional
-        A line that the target has to pass.
-    pixels : int
-        Width and height of the picture.
-
-    Raises
-    ------
-    InputError
-        pillow is not installed.
+    ``push_m`` is how far the action pushes in +x, 0 for a grasp; where the way ends in the map, the end effector is
+    drawn there too. ``goal_x_m`` is a line that the target has to pass. ``pixels`` is width and height of the picture.
     """
-    image_module, draw_module = _pillow()
+    image_module, draw_module = pillow()
     size = pixels * _FINE
     step_m = 2 * grid.SCENE_HALF_M / size
     across = (np.arange(size) + 0.5) * step_m - grid.SCENE_HALF_M
@@ -252,7 +122,7 @@ def end_effector_map(
     observation: Observation, state: int, pixels: int, planes: Sequence[str] = ("depth", "mask")
 ) -> Image.Image:
     """One state of the end-effector map at yaw 0: grey bodies (depth), blue where they may touch the target (mask)."""
-    image_module, draw_module = _pillow()
+    image_module, draw_module = pillow()
     zoom = _zoom(observation.depth)
     size = pixels * _FINE
     across = ((np.arange(size) + 0.5) / size * 2 - 1) * grid.EE_HALF_M / zoom
@@ -266,7 +136,7 @@ def end_effector_map(
     image = image.resize((pixels, pixels), image_module.Resampling.BOX)
     named = f": {planes[0]}" if len(planes) == 1 else ""
     enlarged = f", {zoom} x" if zoom > 1 else ""
-    write_text(draw_module.Draw(image), (5, 3), f"state {state + 1}{named}{enlarged}", 10, _FAINT)
+    write_text(draw_module.Draw(image), (5, 3), f"state {state + 1}{named}{enlarged}", 10, FAINT)
     return image
 
 
@@ -344,41 +214,8 @@ LEGEND: tuple[tuple[Colour, str], ...] = (
 """Colours of a scene map (red, green, blue), and what they mean."""
 
 
-def _legend(draw: ImageDraw.ImageDraw, place: tuple[float, float]) -> None:
-    from PIL import ImageFont
-
-    x, y = place
-    font = ImageFont.load_default(11)
-    for colour, text in LEGEND:
-        draw.rectangle((x, y, x + 11, y + 11), fill=colour)
-        draw.text((x + 17, y - 1), text, fill=INK, font=font)
-        x += 40 + draw.textlength(text, font=font)
-
-
 def to_png(image: Image.Image) -> bytes:
     """A PNG file."""
     buffer = io.BytesIO()
     image.save(buffer, "PNG", optimize=True)
     return buffer.getvalue()
-
-
-def _page(steps: Iterable[GalleryStep], title: str) -> str:
-    """HTML with every picture inside it."""
-    figures = []
-    for step in steps:
-        data = base64.b64encode(to_png(tile(step))).decode()
-        words = html.escape(", ".join((*describe(step.row)[:2], outcome_text(step.row))))
-        size = f'width="{_TILE[0]}" height="{_TILE[1]}"'
-        figures.append(f'<img {size} alt="{words}" title="{words}" src="data:image/png;base64,{data}">')
-    keys = " ".join(f'<i style="background:rgb{colour}"></i>{html.escape(text)}' for colour, text in LEGEND)
-    style = (
-        f"body{{font:15px system-ui,sans-serif;background:rgb{_PAGE};color:rgb{INK};margin:24px}}"
-        "main{display:flex;flex-wrap:wrap;gap:12px}h1{font-size:20px}p{font-size:13px}"
-        "i{display:inline-block;width:11px;height:11px;margin:0 6px 0 18px}i:first-child{margin-left:0}"
-    )
-    return (
-        f'<!DOCTYPE html>\n<html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>\n'
-        f"<style>{style}</style>\n<h1>{html.escape(title)}</h1>\n<p>{keys}</p>\n<main>\n"
-        + "\n".join(figures)
-        + "\n</main></html>\n"
-    )

@@ -26,10 +26,7 @@ _CHECKOUT = Path(__file__).resolve().parents[1] / "pyproject.toml"
 def installed(group: str) -> dict[str, EntryPoint]:
     """Entry points of a group by name, in alphabetical order; nothing is imported.
 
-    Raises
-    ------
-    InputError
-        Two packages offer different things under one name.
+    Raises InputError where two packages offer different things under one name.
     """
     return dict(_installed(group, tuple(sys.path)))
 
@@ -53,19 +50,7 @@ def _installed(group: str, _path: tuple[str, ...]) -> dict[str, EntryPoint]:
 
 
 def load(point: EntryPoint, kind: type[_T]) -> _T:
-    """The object of an entry point.
-
-    Parameters
-    ----------
-    point : EntryPoint
-    kind : type
-        What it has to be an instance of.
-
-    Raises
-    ------
-    InputError
-        It cannot be imported, or is something else.
-    """
+    """The object of an entry point; raises InputError where it cannot be imported, or is not a ``kind``."""
     where = f"{point.name!r} of {point.group} ({point.value}, package {_package(point)})"
     hint = f"reinstall or uninstall that package: pip uninstall {_package(point)}"
     try:

@@ -94,26 +94,14 @@ def storage(number: int) -> str:
 
 @dataclass(frozen=True)
 class ReleaseRepair:
-    """For files of a release: how they come back depends on where they lie, and on whether the release is published.
-
-    Attributes
-    ----------
-    name : str
-    root : Path
-        The folder of releases.
-    address : str
-        What a command calls the release: its name where that leads to this folder, else the folder.
-    published, downloaded : bool
-    source : str
-        The option that a download needs: empty where a source is known.
-    """
+    """For files of a release: how they come back depends on where they lie, and on whether the release is published."""
 
     name: str
-    root: Path
-    address: str
+    root: Path  # the folder of releases
+    address: str  # what a command calls the release: its name where that leads to this folder, else the folder
     published: bool
     downloaded: bool
-    source: str
+    source: str  # the option that a download needs: empty where a source is known
 
     @property
     def verify(self) -> str:

@@ -68,7 +68,7 @@ class Embodiment(StrEnum):
 
 
 class StepKind(NamedTuple):
-    """What one step of a task asks for. How it is carried out stands in ``evaluator.sim.kinds``."""
+    """What one step of a task asks for. ``evaluator.sim.kinds`` carries it out."""
 
     primitive: Primitive
     embodiment: Embodiment
@@ -146,24 +146,12 @@ class Failure(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ObjectSpec:
-    """An I, L or T made of boxes.
-
-    Attributes
-    ----------
-    shape : Shape
-    length_m : float
-        Length of the main bar.
-    width_m : float
-        Width of every bar.
-    arm_m : float
-        Extent of the second bar across the main one, the main bar's width included; 0 for an I.
-    height_m : float
-    """
+    """An I, L or T made of boxes."""
 
     shape: Shape
-    length_m: float
-    width_m: float
-    arm_m: float
+    length_m: float  # of the main bar
+    width_m: float  # of every bar
+    arm_m: float  # extent of the second bar across the main one, the main bar's width included; 0 for an I
     height_m: float
 
 
@@ -191,48 +179,25 @@ class Grip:
 
 @dataclass(frozen=True, slots=True)
 class Pinch:
-    """An object held between two sticks: pose of its centre of mass in the pair frame, and where the hands are.
-
-    Attributes
-    ----------
-    spec : ObjectSpec
-    x_m, y_m, yaw_rad : float
-        In the pair frame.
-    z_m : float
-        Height of the centre of mass above the tool centre points.
-    left_m, right_m : float
-        Distance of the left (right) hand's tool centre point from the pair's origin, along +x (-x) of the pair.
-    """
+    """An object held between two sticks: pose of its centre of mass in the pair frame, and where the hands are."""
 
     spec: ObjectSpec
     x_m: float
     y_m: float
-    z_m: float
+    z_m: float  # height of the centre of mass above the tool centre points
     yaw_rad: float
-    left_m: float
-    right_m: float
+    left_m: float  # distance of the left hand's tool centre point from the pair's origin, along +x of the pair
+    right_m: float  # of the right hand's, along -x
 
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """What one step starts from: everything the simulator needs besides the action.
-
-    Attributes
-    ----------
-    task : str
-    step : int
-        0-based position in ``TASKS[task]``.
-    target : Placement
-        The object of this step.
-    grips : tuple of Grip
-        Tools in hand: the first in the left hand when there are two.
-    pinch : Pinch or None
-    """
+    """What one step starts from: everything the simulator needs besides the action."""
 
     task: str
-    step: int
-    target: Placement
-    grips: tuple[Grip, ...] = ()
+    step: int  # 0-based position in ``TASKS[task]``
+    target: Placement  # the object of this step
+    grips: tuple[Grip, ...] = ()  # tools in hand: the first in the left hand when there are two
     pinch: Pinch | None = None
 
     @property
@@ -250,25 +215,15 @@ class Situation:
 class Scenario:
     """One frozen episode: an object for every step, and the tools in hand of the conditional protocol.
 
-    Attributes
-    ----------
-    task, split : str
-    index : int
-        Position in its list, 0-based: the identity of a scenario is (task, split, index, list version).
-    placements : tuple of Placement
-        The object of every step, in order.
-    grips : tuple of Grip
-        Tools as the reference policy picked them; empty where the task has none.
-    pinch : Pinch or None
-        The pinched object, as the reference policy pinched it, for ``grasp_grasp_push``.
+    The identity of a scenario is (task, split, index, list version).
     """
 
     task: str
     split: str
-    index: int
-    placements: tuple[Placement, ...]
-    grips: tuple[Grip, ...] = ()
-    pinch: Pinch | None = None
+    index: int  # position in its list, 0-based
+    placements: tuple[Placement, ...]  # the object of every step, in order
+    grips: tuple[Grip, ...] = ()  # as the reference policy picked them; empty where the task has no tools
+    pinch: Pinch | None = None  # as the reference policy pinched it, for ``grasp_grasp_push``
 
     def last_situation(self) -> Situation:
         """The last step, with the scenario's tools in hand (conditional protocol)."""
@@ -317,15 +272,9 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class Action:
-    """One action of the 64 x 64 x 16 grid.
+    """One action of the 64 x 64 x 16 grid."""
 
-    Attributes
-    ----------
-    index : int
-        Grid index, 0..65535: ``(i * 64 + j) * 16 + k``.
-    """
-
-    index: int
+    index: int  # 0..65535: ``(i * 64 + j) * 16 + k``
 
     @property
     def cell(self) -> tuple[int, int, int]:
@@ -347,7 +296,7 @@ def _measured(default: Any, meaning: str, unit: str = "", frame: str = "", since
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
-    """What was measured in one step: each field is a column of every table of steps, and its meaning stands beside it.
+    """What was measured in one step: each field is a column of every table of steps, and carries its meaning.
 
     A new field is nullable (``float | None``) with the default ``None``, and names the schema version that adds it:
     ``since``; raise ``SCHEMA_VERSION`` too. In the rows of earlier releases it is null.
@@ -372,73 +321,36 @@ EVIDENCE = tuple(item.name for item in dataclasses.fields(Evidence))
 
 @dataclass(frozen=True, slots=True)
 class StepOutcome(Evidence):
-    """What one action did, and what was measured of it.
-
-    Attributes
-    ----------
-    success : bool
-    failure : Failure or None
-        Exactly one label when ``success`` is false, else None.
-    grip : Grip or None
-        The picked object as a tool, after a successful pick that is not the last step.
-    pinch : Pinch or None
-        Likewise after a successful pincer that is not the last step.
-    """
+    """What one action did, and what was measured of it."""
 
     success: bool
-    failure: Failure | None
+    failure: Failure | None  # exactly one label when ``success`` is false, else None
     _: KW_ONLY
-    grip: Grip | None = None
-    pinch: Pinch | None = None
+    grip: Grip | None = None  # the picked object as a tool, after a successful pick that is not the last step
+    pinch: Pinch | None = None  # likewise after a successful pincer that is not the last step
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One executed step: what the simulator was given, what the policy saw and did, and what came of it.
-
-    Attributes
-    ----------
-    situation : Situation
-    observation : Observation
-    action : Action
-    outcome : StepOutcome
-    policy : str
-        Name of the behaviour policy of this step.
-    policy_digest : str
-        sha256 of its code and weights.
-    """
+    """One executed step: what the simulator was given, what the policy saw and did, and the outcome."""
 
     situation: Situation
     observation: Observation
     action: Action
     outcome: StepOutcome
-    policy: str
-    policy_digest: str
+    policy: str  # name of the behaviour policy of this step
+    policy_digest: str  # sha256 of its code and weights
 
 
 @dataclass(frozen=True, slots=True)
 class Episode:
-    """The executed steps of one collected episode, up to its first failure.
-
-    Attributes
-    ----------
-    task : str
-    round : int
-        Collection round, from 1.
-    split : str
-        ``train`` or ``val``.
-    index : int
-        Position in its (round, task, split), from 0.
-    seed : int
-        Root seed of the collection; with task, round, split and index it keys everything that was drawn.
-    steps : tuple of Step
-    """
+    """The executed steps of one collected episode, up to its first failure."""
 
     task: str
-    round: int
-    split: str
-    index: int
-    seed: int
+    round: int  # collection round, from 1
+    split: str  # ``train`` or ``val``
+    index: int  # position in its (round, task, split), from 0
+    seed: int  # root seed of the collection; with task, round, split and index it keys everything that was drawn
     steps: tuple[Step, ...]
 
     @property

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import hashlib
+import io
 import os
 import tempfile
 from collections.abc import Iterator
@@ -14,7 +16,7 @@ import platformdirs
 from rema_data import repair
 from rema_data.errors import StorageError
 
-__all__ = ["rema_home", "storage_errors", "sync_folder", "write_atomic"]
+__all__ = ["file_sha256", "new_file", "rema_home", "storage_errors", "sync_file", "sync_folder", "write_atomic"]
 
 _STORAGE = {
     errno.ENOSPC: "no space is left on the disk",
@@ -29,7 +31,7 @@ _STORAGE = {
     errno.EISDIR: "there is a folder of that name",
     errno.ENOENT: "the folder cannot be created",
     errno.ENAMETOOLONG: "the name is too long",
-    errno.ELOOP: "the path is a circle of links",
+    errno.ELOOP: "the path is a loop of links",
 }
 
 
@@ -41,12 +43,9 @@ def rema_home() -> Path:
 
 @contextmanager
 def storage_errors(path: Path) -> Iterator[None]:
-    """Turn the errors of a full or read-only disk into a StorageError about ``path``.
+    """Turn the errors of a full or read-only disk, and of an impossible path, into a StorageError about ``path``.
 
-    Raises
-    ------
-    StorageError
-        The disk is full or may not be written, or the path cannot be one. Other ``OSError`` pass through.
+    Other ``OSError`` pass through.
     """
     try:
         yield
@@ -63,6 +62,18 @@ def storage_errors(path: Path) -> Iterator[None]:
         ) from error
 
 
+def file_sha256(path: Path) -> str:
+    """sha256 of a file, hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def sync_file(path: Path) -> None:
+    """Make the content of a file survive a power cut."""
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())
+
+
 def sync_folder(folder: Path) -> None:
     """Make the names in ``folder`` survive a power cut, where the system can do that."""
     with suppress(OSError):
@@ -73,29 +84,22 @@ def sync_folder(folder: Path) -> None:
             os.close(descriptor)
 
 
-def write_atomic(path: Path, data: bytes | str) -> None:
-    """Write ``data`` to ``path`` through a temporary name, fsync and rename.
-
-    Parameters
-    ----------
-    path : Path
-        Its folder is created where it is missing.
-    data : bytes or str
-        Text is written as UTF-8.
+@contextmanager
+def new_file(path: Path) -> Iterator[io.BufferedRandom]:
+    """A file under a temporary name, which becomes ``path`` when the block ends without an error.
 
     Raises
     ------
     StorageError
         The disk is full or may not be written; ``path`` is then as it was before.
     """
-    payload = data.encode() if isinstance(data, str) else data
     with storage_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
         temporary = Path(name)
         try:
-            with os.fdopen(descriptor, "wb") as file:
-                file.write(payload)
+            with os.fdopen(descriptor, "w+b") as file:
+                yield file
                 file.flush()
                 os.fsync(file.fileno())
             temporary.chmod(0o644)
@@ -104,3 +108,9 @@ def write_atomic(path: Path, data: bytes | str) -> None:
             temporary.unlink(missing_ok=True)
             raise
         sync_folder(path.parent)
+
+
+def write_atomic(path: Path, data: bytes | str) -> None:
+    """Write bytes, or text as UTF-8, to ``path`` as ``new_file`` does."""
+    with new_file(path) as file:
+        file.write(data.encode() if isinstance(data, str) else data)

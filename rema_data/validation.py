@@ -55,7 +55,7 @@ def validated(
     where : str
         The file or address that it came from, for messages.
     at : str
-        Where in that file it stands, such as ``rounds[1]``: comes before the names of fields in messages.
+        Its place in that file, such as ``rounds[1]``: comes before the names of fields in messages.
     hint : str
         What to do about an error.
     error : type of RemaError

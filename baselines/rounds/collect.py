@@ -22,8 +22,9 @@ from rema_data.progress import Progress, Silent
 from rema_data.release.folder import ReleaseFolder, find_release
 from rema_data.release.manifest import MANIFEST, parse_manifest
 from rema_data.release.registry import load_published, published
-from rema_data.release.seal import file_sha256, seal
+from rema_data.release.seal import seal
 from rema_data.schema import SCHEMA_VERSION
+from rema_data.storage import file_sha256
 from rema_data.store.block import BlockKey, BlockWriter, encode_episodes
 
 __all__ = ["Collected", "collect", "inherit"]
@@ -165,7 +166,7 @@ class _Collection:
     def check_name(self) -> None:
         """Raise where the name is that of a published release which this plan has not made."""
         name = self.plan.about.name
-        if name in {entry.name for entry in published()} and load_published(name).plan_sha256 != self.plan_sha256:
+        if name in published() and load_published(name).plan_sha256 != self.plan_sha256:
             raise RunMismatchError(
                 f"{self.plan.path}: {name} is a published release, made by another plan, policy or simulator",
                 hint="give the plan another name",

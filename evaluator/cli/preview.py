@@ -76,8 +76,8 @@ def _preview_release(
     **chosen: Any,
 ) -> None:
     from rema_data.gallery import find_steps
-    from rema_data.pictures import write_pictures
     from rema_data.release.folder import find_release
+    from rema_data.sheets import write_pictures
 
     if chosen["success"] and chosen["failure"]:
         raise InputError("a step that succeeded has no failure", hint="drop --success or --failure")

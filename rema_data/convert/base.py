@@ -37,21 +37,13 @@ class ExportOptions:
 
 @dataclass(frozen=True, slots=True)
 class ExportedFile:
-    """A file of an export.
-
-    Attributes
-    ----------
-    path : Path
-    episodes, steps, bytes : int
-    new : bool
-        False where the same export was there already.
-    """
+    """A file of an export."""
 
     path: Path
     episodes: int
     steps: int
     bytes: int
-    new: bool
+    new: bool  # False where the same export was there already
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,25 +98,15 @@ class Format(Protocol):
     def export(self, plan: ExportPlan, progress: Progress) -> list[ExportedFile]:
         """Write an export; each of its files appears whole or not at all.
 
-        Raises
-        ------
-        RunMismatchError
-            A file of another export is in the way.
-        IntegrityError
-            The release is damaged.
-        StorageError
-            The disk is full or may not be written.
+        Raises RunMismatchError where a file of another export is in the way, IntegrityError where the release is
+        damaged, and StorageError where the disk is full or may not be written.
         """
         ...
 
     def read(self, sources: Sequence[Path]) -> AbstractContextManager[Source]:
         """Open files, or folders of files, of one export.
 
-        Raises
-        ------
-        MissingFileError, InputError
-            There are none, or they belong to exports of different releases.
-        IntegrityError
-            A file is not whole, or is not an export. The blocks raise it too.
+        Raises MissingFileError or InputError where there are none, or they belong to exports of different releases, and
+        IntegrityError where a file is not whole or not an export; the blocks raise that too.
         """
         ...

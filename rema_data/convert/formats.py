@@ -19,14 +19,10 @@ __all__ = ["find_format"]
 _GROUP = "rema.formats"
 
 
-def find_format(name: str) -> Format:
-    """The format of that name.
-
-    Raises
-    ------
-    InputError
-        None has this name, or its package cannot be loaded.
-    """
+def find_format(name: str | Format) -> Format:
+    """The format of that name, or the one that is given; InputError where none is installed, or it cannot be loaded."""
+    if not isinstance(name, str):
+        return name
     formats = installed(_GROUP)
     if name not in formats:
         raise InputError(f"unknown format {name!r}", hint=f"installed formats: {', '.join(formats)}", format=name)

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import io
-import os
-import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import h5py
 
+from rema_data import storage
 from rema_data.errors import IntegrityError, MissingFileError, RemaError
-from rema_data.storage import storage_errors, sync_folder
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer, WriteableBuffer
 
-__all__ = ["FORMAT", "VERSION", "NewFile", "damaged", "new_file", "open_file", "reading"]
+__all__ = ["FORMAT", "VERSION", "damaged", "new_file", "open_file", "reading"]
 
 FORMAT = "rema episodes for robomimic"
 VERSION = 1
@@ -34,8 +32,8 @@ class _Sink(io.RawIOBase):
     Left to itself, HDF5 loses what a full disk refuses while an array is closed, or ends the process.
     """
 
-    def __init__(self, descriptor: int) -> None:
-        self._file = os.fdopen(descriptor, "w+b", buffering=0)
+    def __init__(self, file: io.RawIOBase) -> None:
+        self._file = file
         self.error: OSError | None = None
 
     def readable(self) -> bool:
@@ -73,63 +71,24 @@ class _Sink(io.RawIOBase):
             self.error = self.error or error
             return size or 0
 
-    def close(self) -> None:
-        self._file.close()
-        super().close()
-
-    def sync(self) -> None:
-        os.fsync(self._file.fileno())
-
-
-class NewFile:
-    """A file that is being written.
-
-    Attributes
-    ----------
-    root : h5py.File
-    """
-
-    def __init__(self, root: h5py.File, sink: _Sink) -> None:
-        self.root = root
-        self._sink = sink
-
     def check(self) -> None:
-        """Raise the OSError of the first refused write."""
-        if self._sink.error is not None:
-            raise self._sink.error
+        """Raise the first error of the disk."""
+        if self.error is not None:
+            raise self.error
 
 
 @contextmanager
-def new_file(path: Path) -> Iterator[NewFile]:
-    """A new HDF5 file under a temporary name, which becomes ``path`` when the block ends without an error.
-
-    Raises
-    ------
-    StorageError
-        The disk is full or may not be written; ``path`` is then as it was before.
-    """
-    with storage_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        temporary = Path(name)
-        try:
-            sink = _Sink(descriptor)
-            with sink:
-                with h5py.File(sink, "w", libver=_LIBVER) as root:
-                    new = NewFile(root, sink)
-                    yield new
-                new.check()
-                sink.sync()
-            temporary.chmod(0o644)
-            temporary.replace(path)
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
-        sync_folder(path.parent)
+def new_file(path: Path) -> Iterator[tuple[h5py.File, Callable[[], None]]]:
+    """As ``storage.new_file``, for HDF5; and a function that raises the OSError of the first refused write."""
+    with storage.new_file(path) as file:
+        sink = _Sink(file.raw)
+        with h5py.File(sink, "w", libver=_LIBVER) as root:
+            yield root, sink.check
+        sink.check()
 
 
 def damaged(path: Path, why: str) -> IntegrityError:
-    """The error about a file that is no whole export."""
+    """The error about a file that is not a whole export."""
     return IntegrityError(
         f"{path} cannot be read: {why}",
         hint="export the release again, or restore the file from a copy",
@@ -139,13 +98,7 @@ def damaged(path: Path, why: str) -> IntegrityError:
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Say about ``path`` what HDF5 cannot read of it.
-
-    Raises
-    ------
-    IntegrityError
-        A part of the file is damaged or missing.
-    """
+    """Turn what HDF5 raises on a damaged or missing part of ``path`` into an IntegrityError."""
     try:
         yield
     except RemaError:
@@ -157,15 +110,7 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def open_file(path: Path) -> h5py.File:
-    """An HDF5 file for reading.
-
-    Raises
-    ------
-    MissingFileError
-        It is not there.
-    IntegrityError
-        It is not a whole HDF5 file.
-    """
+    """An HDF5 file for reading; raises MissingFileError or IntegrityError where there is no whole HDF5 file."""
     if not path.is_file():
         raise MissingFileError(
             f"there is no file {path}", hint="name the files that `rema export` wrote, or their folder", path=str(path)

@@ -41,13 +41,7 @@ Row = dict[str, Any]
 
 
 def expand(sources: Sequence[Path]) -> list[Path]:
-    """The files among some files and folders.
-
-    Raises
-    ------
-    MissingFileError
-        A folder holds none, or nothing was named.
-    """
+    """The files among some files and folders; raises MissingFileError where there are none."""
     if not sources:
         raise MissingFileError("no file to import was named", hint="name the folder that `rema export` wrote")
     paths: list[Path] = []
@@ -179,7 +173,7 @@ class _File:
                 if not isinstance(value, str):
                     raise self._contradiction(name, f"has the {column.name} {value!r}")
             elif getattr(value, "dtype", None) != column.type or value.shape:
-                raise self._contradiction(name, f"has the {column.name} {value!r}, which is no {column.type}")
+                raise self._contradiction(name, f"has the {column.name} {value!r}, which is not {column.type}")
             else:
                 value = value.item()
             row[column.name] = value

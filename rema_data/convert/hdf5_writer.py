@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import h5py
 import numpy as np
 import numpy.typing as npt
 
-from rema_data.convert.base import ExportedFile, ExportOptions, ExportPlan
-from rema_data.convert.hdf5_file import FORMAT, VERSION, NewFile, new_file, open_file, reading
+from rema_data.convert.base import ExportedFile, ExportPlan
+from rema_data.convert.hdf5_file import FORMAT, VERSION, new_file, open_file, reading
 from rema_data.convert.layout import obs_of_end_effectors, obs_of_scenes, to_array, trajectory
 from rema_data.convert.pieces import Piece, read_pieces
 from rema_data.errors import RunMismatchError
@@ -51,9 +51,9 @@ def write_file(plan: ExportPlan, task: str, blocks: Sequence[BlockEntry], progre
                 )
     else:
         progress.phase(f"export {task}", steps)
-        with new_file(path) as file:
-            _Writer(file, plan.options, progress).write(plan, task, blocks)
-            file.root["rema"].attrs.update(identity)
+        with new_file(path) as (root, check):
+            _Writer(root, check, plan, progress).write(task, blocks)
+            root["rema"].attrs.update(identity)
     return ExportedFile(path, episodes, steps, path.stat().st_size, new)
 
 
@@ -77,25 +77,26 @@ def _identity(plan: ExportPlan, blocks: Sequence[BlockEntry]) -> dict[str, Any]:
 class _Writer:
     """Writes into a new file and counts its demos."""
 
-    def __init__(self, file: NewFile, options: ExportOptions, progress: Progress) -> None:
-        self._file = file
-        self._options = options
+    def __init__(self, root: h5py.File, check: Callable[[], None], plan: ExportPlan, progress: Progress) -> None:
+        self._root = root
+        self._check = check
+        self._release = plan.release
+        self._options = plan.options
         self._progress = progress
-        self._data = file.root.create_group("data")
+        self._data = root.create_group("data")
         self._demos = 0
         self._filters: defaultdict[str, list[str]] = defaultdict(list)
 
-    def write(self, plan: ExportPlan, task: str, blocks: Sequence[BlockEntry]) -> None:
-        root = self._file.root
-        rema = _group(root, "rema")
-        _write_bytes(rema, "manifest", plan.release.manifest.to_bytes())
+    def write(self, task: str, blocks: Sequence[BlockEntry]) -> None:
+        release, rema = self._release, _group(self._root, "rema")
+        _write_bytes(rema, "manifest", release.manifest.to_bytes())
         card = _group(rema, "card")
-        own = [file for file in plan.release.manifest.files if file.block is None and plan.release.has(file)]
+        own = [file for file in release.manifest.files if file.block is None and release.has(file)]
         for number, file in enumerate(own):
-            _write_bytes(card, str(number), plan.release.file(file).read_bytes()).attrs["path"] = file.path
+            _write_bytes(card, str(number), release.file(file).read_bytes()).attrs["path"] = file.path
         for block in blocks:
-            reader = plan.release.block(block)
-            _write_columns(_group(rema, block.key.path), reader, plan.release.manifest.schema_version)
+            reader = release.block(block)
+            _write_columns(_group(rema, block.key.path), reader, release.manifest.schema_version)
             first_step = 0
             for piece in read_pieces(reader):
                 self._write_piece(piece, first_step)
@@ -104,7 +105,7 @@ class _Writer:
         self._data.attrs["total"] = sum(block.steps for block in blocks)
         environment = {"env_name": f"rema-{task}", "type": _GYM, "env_kwargs": {"task": task}}
         self._data.attrs["env_args"] = json.dumps(environment)
-        mask = _group(root, "mask")
+        mask = _group(self._root, "mask")
         for name, demos in self._filters.items():
             mask[name] = np.array(demos, "S")
         if "val" in mask:
@@ -126,7 +127,7 @@ class _Writer:
                 _write_obs(demo, "obs", name, obs)
                 if options.next_obs:
                     _write_obs(demo, "next_obs", name, np.concatenate([obs[1:], obs[-1:]]))
-            self._file.check()
+            self._check()
 
     def _new_demo(self, row: dict[str, Any]) -> h5py.Group:
         name = f"demo_{self._demos}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,12 +14,11 @@ from rema_data.progress import Progress, Silent
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, Manifest, check_name
 from rema_data.release.registry import published
-from rema_data.release.seal import Description, file_sha256, seal
-from rema_data.storage import storage_errors, sync_folder, write_atomic
+from rema_data.release.seal import Description, seal
+from rema_data.storage import file_sha256, storage_errors, sync_file, sync_folder, write_atomic
 from rema_data.store.block import BlockKey, BlockWriter
 
 __all__ = ["Imported", "import_release"]
-
 
 _NAMED = 3
 """How many files of a block are named."""
@@ -28,23 +26,12 @@ _NAMED = 3
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """What an import made.
-
-    Attributes
-    ----------
-    release : ReleaseFolder
-    original : Manifest
-        Of the release that was exported.
-    differences : tuple of str
-        Why the identity is another one than the original's; empty where it is the same.
-    notes : tuple of str
-        What the files hold that was not imported.
-    """
+    """What an import made."""
 
     release: ReleaseFolder
-    original: Manifest
-    differences: tuple[str, ...]
-    notes: tuple[str, ...]
+    original: Manifest  # of the release that was exported
+    differences: tuple[str, ...]  # why the identity is not the original's; empty where it is
+    notes: tuple[str, ...]  # what the files hold that was not imported
 
     @property
     def identical(self) -> bool:
@@ -72,12 +59,11 @@ def import_release(
         By default that of the release that was exported.
     format : str or Format
         By default robomimic's HDF5; the name of an installed format, or the format itself.
-    progress : Progress, optional
 
     Raises
     ------
     InputError
-        The name cannot be one, or the files are no export, not of one release, or without episodes.
+        The name cannot be one, or the files are not an export, not of one release, or without episodes.
     MissingFileError
         A file is not there.
     IntegrityError
@@ -88,7 +74,7 @@ def import_release(
         The disk is full or may not be written.
     """
     progress = progress or Silent()
-    reader = find_format(format) if isinstance(format, str) else format
+    reader = find_format(format)
     if name is not None:
         check_name(name)
     with reader.read(sources) as source, storage_errors(root):
@@ -115,7 +101,7 @@ def import_release(
                     release = _restore(source.manifest, staging, root)
                     return Imported(release, source.manifest, (), tuple(source.notes()))
                 differences = [f"{path}: not part of the export, written again" for path in missing]
-            if name in {entry.name for entry in published()}:
+            if name in published():
                 raise RunMismatchError(
                     f"{name} is a published release, and this is another one: {differences[0]}",
                     hint="import under another name: --name NAME",
@@ -151,14 +137,13 @@ def _compare(original: Manifest, staging: Path, written: Mapping[BlockKey, int])
     """How the blocks that were written differ from those of the original."""
     differences = []
     for block in original.blocks:
-        files = [file for file in original.files if file.block == block.key.path]
         if block.key not in written:
             differences.append(f"{block.key.path}: not part of the export")
             continue
         if written[block.key] != block.episodes:
             differences.append(f"{block.key.path}: {written[block.key]} of {block.episodes} episodes")
             continue
-        wanted = {file.path: file.sha256 for file in files}
+        wanted = {file.path: file.sha256 for file in original.files if file.block == block.key.path}
         folder = staging / block.key.path
         found = {path.relative_to(staging).as_posix(): path for path in sorted(folder.rglob("*")) if path.is_file()}
         other = sorted(
@@ -197,8 +182,7 @@ def _restore(manifest: Manifest, staging: Path, root: Path) -> ReleaseFolder:
         target = root / file.location
         target.parent.mkdir(parents=True, exist_ok=True)
         path = staging / file.path
-        with path.open("rb") as opened:
-            os.fsync(opened.fileno())
+        sync_file(path)
         path.chmod(0o444)
         path.replace(target)
         sync_folder(target.parent)
@@ -210,10 +194,5 @@ def _restore(manifest: Manifest, staging: Path, root: Path) -> ReleaseFolder:
 
 def _description(original: Manifest, name: str) -> Description:
     origin = f"Imported from an export of {original.name} ({original.sha256})."
-    return Description(
-        name,
-        original.title,
-        f"{original.description}\n\n{origin}" if original.description else origin,
-        original.license,
-        original.citation,
-    )
+    text = f"{original.description}\n\n{origin}" if original.description else origin
+    return Description(name, original.title, text, original.license, original.citation)

@@ -61,23 +61,14 @@ def _stored_heights(obs: Array) -> Array:
 
 
 def stored_scenes(obs: Array) -> Array:
-    """Inverse of ``obs_of_scenes``.
-
-    Raises
-    ------
-    InputError
-        A height cannot be stored.
-    """
+    """Inverse of ``obs_of_scenes``; raises InputError where a height cannot be stored."""
     return _stored_heights(obs[..., 0])
 
 
 def stored_end_effectors(obs: Array) -> tuple[Array, Array]:
     """Inverse of ``obs_of_end_effectors``: depth uint16 (N, 2, 112, 112) and mask uint8 (N, 2, 112, 14).
 
-    Raises
-    ------
-    InputError
-        A height cannot be stored, or a mask is neither 0 nor 1.
+    Raises InputError where a height cannot be stored, or a mask is neither 0 nor 1.
     """
     masks = np.moveaxis(obs[..., 1::2], -1, 1)
     allowed = masks == 1
@@ -89,12 +80,9 @@ def stored_end_effectors(obs: Array) -> tuple[Array, Array]:
 def trajectory(steps: pa.Table) -> dict[str, Array]:
     """What robomimic reads besides the observations, one row a step of one or more whole episodes.
 
-    Returns
-    -------
-    dict
-        ``actions`` float32 (N, 4) in [-1, 1]: x and y of the hand over half the width of the scene map (0.144 m),
-        cosine and sine of its yaw. ``rewards`` float32 (N,): 1 where the task was accomplished. ``dones`` int64 (N,):
-        1 at the end of an episode. ``grid_index`` int64 (N,): the action on the grid.
+    ``actions`` float32 (N, 4) in [-1, 1]: x and y of the hand over half the width of the scene map (0.144 m), cosine
+    and sine of its yaw. ``rewards`` float32 (N,): 1 where the task was accomplished. ``dones`` int64 (N,): 1 at the end
+    of an episode. ``grid_index`` int64 (N,): the action on the grid.
     """
     theta = steps["theta_rad"].to_numpy()
     x, y = (steps[name].to_numpy() / SCENE_HALF_M for name in ("x_m", "y_m"))
@@ -110,16 +98,13 @@ def trajectory(steps: pa.Table) -> dict[str, Array]:
 def to_array(values: pa.ChunkedArray, column: Column) -> Array:
     """A column as a numpy array. What is null becomes NaN or an empty string; text becomes UTF-8 of fixed width.
 
-    Raises
-    ------
-    IntegrityError
-        A value that is not null could not be told from one that is.
+    Raises IntegrityError where a value that is not null looks like one that is.
     """
     if column.nullable:
         blank = pc.equal(values, "") if column.type == "string" else pc.is_nan(values)
         if pc.any(blank).as_py():
             raise IntegrityError(
-                f"column {column.name} holds a value that is no value",
+                f"column {column.name} holds a value that stands for null",
                 hint="find the damaged file: `rema verify`, with the name or the folder of the release",
                 column=column.name,
             )
@@ -131,13 +116,7 @@ def to_array(values: pa.ChunkedArray, column: Column) -> Array:
 
 
 def from_array(array: Array, column: Column) -> pa.Array:
-    """Inverse of ``to_array``.
-
-    Raises
-    ------
-    IntegrityError
-        The array has another type or shape than the column needs, or holds what is not text.
-    """
+    """Inverse of ``to_array``; raises IntegrityError where type or shape are not those of the column."""
     kind = pa.type_for_alias(column.type)
     try:
         if array.ndim != 1:

@@ -26,8 +26,8 @@ def export_release(
 ) -> list[ExportedFile]:
     """Write a release, or blocks of it, into the folder ``target``.
 
-    A file appears whole or not at all; files of the same export that are there already are left as they are, so that an
-    interrupted export goes on where it stopped.
+    A file appears whole or not at all. Files of the same export that are there already are kept: an interrupted export
+    resumes.
 
     Parameters
     ----------
@@ -40,7 +40,6 @@ def export_release(
     options : ExportOptions, optional
     tasks, rounds, split
         Which blocks; all by default.
-    progress : Progress, optional
 
     Raises
     ------
@@ -55,7 +54,7 @@ def export_release(
     StorageError
         The disk is full or may not be written.
     """
-    writer = find_format(format) if isinstance(format, str) else format
+    writer = find_format(format)
     blocks = release.manifest.select(tasks, rounds, split)
     release.require(blocks)
     plan = ExportPlan(release, blocks, target, options or ExportOptions())

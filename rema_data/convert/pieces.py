@@ -12,6 +12,7 @@ import pyarrow as pa
 from rema_data.errors import IntegrityError
 from rema_data.store.block import BlockReader, EncodedMaps
 from rema_data.store.maps import MapsReader
+from rema_data.store.tables import with_column
 
 __all__ = ["PIECE_STEPS", "Piece", "read_pieces"]
 
@@ -22,13 +23,7 @@ Array = npt.NDArray[Any]
 
 
 class Piece(NamedTuple):
-    """Some episodes of a block, as ``BlockWriter.append`` takes them: rows count from 0.
-
-    Attributes
-    ----------
-    episodes, steps : pyarrow.Table
-    maps : EncodedMaps
-    """
+    """Some episodes of a block, as ``BlockWriter.append`` takes them: rows count from 0."""
 
     episodes: pa.Table
     steps: pa.Table
@@ -68,7 +63,7 @@ def read_pieces(reader: BlockReader, piece_steps: int = PIECE_STEPS) -> Iterator
         begin, end = int(first[start]), int(ends[stop - 1])
         rows, local = np.unique(ee_row[begin:end], return_inverse=True)
         yield Piece(
-            _with(episodes.slice(start, stop - start), "first_step", first[start:stop] - begin),
+            with_column(episodes.slice(start, stop - start), "first_step", first[start:stop] - begin),
             steps.slice(begin, end - begin),
             EncodedMaps(
                 maps.read("scene", begin, end),
@@ -84,9 +79,3 @@ def _read_rows(maps: MapsReader, name: str, rows: Array) -> Array:
     """Some rows of an array, ascending, read in runs of neighbours."""
     runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
     return np.concatenate([maps.read(name, int(run[0]), int(run[-1]) + 1) for run in runs])
-
-
-def _with(table: pa.Table, name: str, values: Array) -> pa.Table:
-    position = table.schema.get_field_index(name)
-    field = table.schema.field(position)
-    return table.set_column(position, field, pa.array(values, field.type))

@@ -1,4 +1,4 @@
-"""Everything together: what was found, what is wrong, and what would be better."""
+"""The diagnosis: the state of this machine, its problems and advice."""
 
 from __future__ import annotations
 
@@ -27,32 +27,16 @@ NEEDED_PER_S = 2_400.0
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The state of this machine.
-
-    Attributes
-    ----------
-    versions : sequence of PackageVersion
-    home : Home
-    releases : sequence of ReleaseState
-    disposable : sequence of Disposable
-        Decoded caches and partial downloads.
-    tested : str
-        Release that was read; empty where there is none, or no test was wanted.
-    speeds : sequence of Speed
-    problems : sequence of str
-        What is wrong, each with its fix.
-    advice : sequence of str
-        What would be better.
-    """
+    """The state of this machine."""
 
     versions: Sequence[PackageVersion]
     home: Home
     releases: Sequence[ReleaseState]
-    disposable: Sequence[Disposable]
-    tested: str
+    disposable: Sequence[Disposable]  # decoded caches and partial downloads
+    tested: str  # release that was read; empty where none was
     speeds: Sequence[Speed]
-    problems: Sequence[str]
-    advice: Sequence[str]
+    problems: Sequence[str]  # what is wrong, each with its fix
+    advice: Sequence[str]  # what would be better
 
     def to_dict(self) -> dict[str, Any]:
         """Ready for JSON."""
@@ -70,12 +54,12 @@ def diagnose(
     Parameters
     ----------
     read_seconds : float
-        Length of each of the four reading tests; 0 leaves them out. The first test of a release builds its decoded
-        cache, as training would.
+        Length of each of the four reading tests; 0 leaves them out. The first builds the decoded cache, as training
+        would.
     note : callable
-        Called with a line of what is done next, where it takes time.
+        Gets a line before each thing that takes time.
     contents : bool
-        Read every byte of the decoded caches, and compare it with what was written.
+        Compare every byte of the decoded caches with what was written.
     """
     state, releases = home(), local_releases()
     problems = list(_problems(package_versions(), state, releases))
@@ -185,7 +169,7 @@ def _advice(
 
 def _published_with(holder: str) -> str:
     """The published release that has files in a folder of releases: ``rema download`` knows no other name."""
-    names = [entry.name for entry in published()]
+    names = published()
     for name in () if holder in names else names:
         with suppress(RemaError):
             if any(file.holder == holder for file in load_published(name).files):

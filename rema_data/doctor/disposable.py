@@ -23,38 +23,20 @@ READY, OLD, ORPHAN, DAMAGED, UNFINISHED, PARTIAL = "ready", "old", "orphan", "da
 class Disposable:
     """A decoded cache, or a file that was being downloaded.
 
-    Attributes
-    ----------
-    path : str
-    release : str
-        Name of the release it belongs to; empty where no release that is found here has it.
-    state : str
-        Of a cache: ``ready``; ``old`` (other blocks of the release are here now), ``orphan`` (of no release that is
-        found here), ``damaged``, or ``unfinished`` (a process builds it, or was killed). Of a download: ``partial``.
-    bytes : int
-    lock : str
-        The lock file that a process holds while it works on it.
-    damaged : tuple of str
-        Of a cache whose content was checked: files that are not what was written.
+    The state of a cache is ``ready``; ``old`` (other blocks of the release are here now), ``orphan`` (of no release
+    that is found here), ``damaged``, or ``unfinished`` (a process builds it, or was killed). A download is ``partial``.
     """
 
     path: str
-    release: str
+    release: str  # that it belongs to; empty where no release here has it
     state: str
     bytes: int
-    lock: str
-    damaged: tuple[str, ...] = ()
+    lock: str  # the lock file that a process holds while it works on it
+    damaged: tuple[str, ...] = ()  # files of a cache whose content was checked and has changed
 
 
 def disposables(releases: Iterable[ReleaseState], contents: bool = False) -> tuple[Disposable, ...]:
-    """Decoded caches and partial downloads below ``REMA_HOME``, each with its state.
-
-    Parameters
-    ----------
-    releases : iterable of ReleaseState
-    contents : bool
-        Read every byte of the ready caches, too.
-    """
+    """Decoded caches and partial downloads below ``REMA_HOME``; ``contents`` reads every byte of the ready caches."""
     ready, names = {}, {}
     for state in releases:
         if state.folder is not None:
@@ -90,17 +72,9 @@ def _partial(path: Path, downloads: Path) -> Disposable:
 
 
 def prune(found: Iterable[Disposable]) -> tuple[Disposable, ...]:
-    """Delete what is not a ready cache; what a running process works on is left alone.
+    """Delete all but the ready caches and what a running process works on; what was deleted.
 
-    Returns
-    -------
-    tuple of Disposable
-        What was deleted.
-
-    Raises
-    ------
-    StorageError
-        It may not be deleted.
+    Raises StorageError where something may not be deleted.
     """
     from filelock import FileLock, Timeout
 

@@ -31,21 +31,11 @@ _PROJECT = "rema"
 
 @dataclass(frozen=True, slots=True)
 class PackageVersion:
-    """One package, or Python itself.
-
-    Attributes
-    ----------
-    name : str
-    version : str or None
-        None where it is not installed.
-    wanted : str
-        The range that rema asks for; empty for any.
-    ok : bool
-    """
+    """One package, or Python itself."""
 
     name: str
-    version: str | None
-    wanted: str
+    version: str | None  # None where it is not installed
+    wanted: str  # the range that rema asks for; empty for any
     ok: bool
 
 
@@ -76,20 +66,11 @@ def _compare(name: str, wanted: str, version: str | None = None) -> PackageVersi
 
 @dataclass(frozen=True, slots=True)
 class Home:
-    """The folder of everything that can be fetched or built again.
-
-    Attributes
-    ----------
-    path : str
-    writable : bool
-        Files can be created there.
-    free_bytes : int
-        On its disk.
-    """
+    """The folder of everything that can be fetched or built again."""
 
     path: str
-    writable: bool
-    free_bytes: int
+    writable: bool  # files can be created there
+    free_bytes: int  # on its disk
 
 
 def home() -> Home:
@@ -101,29 +82,15 @@ def home() -> Home:
 
 @dataclass(frozen=True, slots=True)
 class Speed:
-    """Random reads by one process.
+    """Random reads by one process."""
 
-    Attributes
-    ----------
-    delivery : str
-        ``quantised`` or ``float32``.
-    batch_size : int
-    samples_per_s : float
-    """
-
-    delivery: str
+    delivery: str  # quantised or float32
     batch_size: int
     samples_per_s: float
 
 
 def measure_speed(release: Release, seconds: float = 1.0) -> Iterator[Speed]:
-    """Read random batches for about so long in each way of delivery and size of batch.
-
-    Raises
-    ------
-    StorageError, IntegrityError, MissingFileError
-        The decoded cache cannot be built.
-    """
+    """Read random batches for about ``seconds`` in each delivery and size of batch; raises as ``Release.cache``."""
     deliveries: tuple[Delivery, ...] = ("quantised", "float32")
     rng = np.random.default_rng(0)
     for delivery in deliveries:

@@ -15,28 +15,15 @@ __all__ = ["ReleaseState", "local_releases"]
 
 @dataclass(frozen=True)
 class ReleaseState:
-    """A release on this machine.
-
-    Attributes
-    ----------
-    name, path : str
-    identity : str
-        ``published``, ``not published``, ``not the published one``, or why the manifest cannot be read.
-    blocks, blocks_total : int
-        Blocks that are here whole, and blocks of the release.
-    bytes : int
-        Of the files that are here.
-    folder : ReleaseFolder or None
-        None where the manifest cannot be read.
-    """
+    """A release on this machine."""
 
     name: str
     path: str
-    identity: str
-    blocks: int
+    identity: str  # published, not published, not the published one, or why the manifest cannot be read
+    blocks: int  # that are here whole
     blocks_total: int
-    bytes: int
-    folder: ReleaseFolder | None
+    bytes: int  # of the files that are here
+    folder: ReleaseFolder | None  # None where the manifest cannot be read
 
     @property
     def ok(self) -> bool:
@@ -46,7 +33,7 @@ class ReleaseState:
 
 def local_releases() -> tuple[ReleaseState, ...]:
     """Releases in the folders where rema looks for them; the published ones in the order of their publication."""
-    index = {entry.name: entry.sha256 for entry in published()}
+    index = published()
     found = []
     for root in dict.fromkeys(path.resolve() for path in (downloads_folder(), *local_sources()) if path.is_dir()):
         names = {path.parent.name for path in root.glob(f"*/{MANIFEST}")}

@@ -12,13 +12,7 @@ _PASSING = {HTTPStatus.REQUEST_TIMEOUT, HTTPStatus.TOO_EARLY, HTTPStatus.TOO_MAN
 
 
 class Refused(Exception):
-    """The source will not deliver this file, however often it is asked.
-
-    Attributes
-    ----------
-    absent : bool
-        It just does not have the file, as a mirror of a part of a release.
-    """
+    """The source will not deliver this file, not even later; ``absent`` where it only lacks the file."""
 
     def __init__(self, why: str, *, absent: bool = False) -> None:
         super().__init__(why)
@@ -26,13 +20,7 @@ class Refused(Exception):
 
 
 class Faltered(Exception):
-    """The source may deliver the file when it is asked again.
-
-    Attributes
-    ----------
-    wait_s : float
-        How long it asks us to wait, s.
-    """
+    """The source may deliver the file when it is asked again, after ``wait_s`` seconds."""
 
     def __init__(self, why: str, wait_s: float = 0.0) -> None:
         super().__init__(why)
@@ -40,16 +28,7 @@ class Faltered(Exception):
 
 
 class Undelivered(Exception):
-    """No source has delivered a file.
-
-    Attributes
-    ----------
-    entry : FileEntry
-    answers : dict of str to str
-        What every source said, by its label.
-    corrupt : bool
-        Whether one of them sent other bytes.
-    """
+    """No source has delivered a file. ``answers`` by source; ``corrupt`` where one of them sent other bytes."""
 
     def __init__(self, entry: FileEntry, answers: dict[str, str], corrupt: bool) -> None:
         super().__init__(entry.location)

@@ -9,7 +9,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from rema_data.download.failures import Undelivered
 from rema_data.download.plan import DownloadReport, Plan, check_space, make_plan
 from rema_data.download.pool import Outcome, fetch_files
 from rema_data.download.sources import Source
@@ -44,7 +43,7 @@ def download(
     """Bring a release, or a part of it, onto this machine.
 
     A file that is here with its size is not fetched again (``rema verify`` rehashes). Every other file is fetched to
-    ``FILE.part``, goes on where an earlier run stopped, and gets its name when its sha256 is the manifest's. Blocks
+    ``FILE.part``, resumed where an earlier run stopped, and renamed when its sha256 is the manifest's. Blocks
     that the release shares with an earlier one land in the earlier one's folder, once.
 
     Parameters
@@ -76,13 +75,13 @@ def download(
     InputError
         There is no such release, task, round or split, or a source cannot be one.
     MissingFileError
-        A file could not be had from any source. The others are here.
+        No source has delivered a file. The others are here.
     IntegrityError
         The same, and a source sent other bytes than those of the release.
     RunMismatchError
         Another release of the same name is in the way.
     StorageError
-        The disk is full or may not be written. What has arrived stays, and the next run goes on from there.
+        The disk is full or may not be written. What has arrived stays, and the next run resumes.
     """
     if jobs is not None and jobs < 1:
         raise InputError(f"{jobs} files at a time is not possible", hint="use --jobs 1 or more", jobs=jobs)
@@ -95,17 +94,18 @@ def download(
     plan = make_plan(folder, files)
     sink = Silent() if progress is None else progress
     outcome = Outcome(0, {}, ())
+    again = f"rema download {wanted.name}"
+    if manifest is not None:
+        again += f" --manifest {shlex.quote(os.fspath(manifest))}"
     if not dry_run and plan.missing:
         with _locks(folder.root, {entry.holder for entry in plan.missing}, sink):
             plan = make_plan(folder, files)  # another process may have fetched them meanwhile
             outcome = _fetch(folder, plan, asked, jobs or JOBS, sink)
-    if outcome.undelivered:
-        again = f"rema download {wanted.name}" + (
-            "" if manifest is None else f" --manifest {shlex.quote(os.fspath(manifest))}"
-        )
-        raise _undelivered(wanted, outcome.undelivered, len(plan.files), asked, only_local, again)
+    _raise_undelivered(outcome, len(plan.files), folder, asked, only_local, again)
     if not dry_run:
-        _write_manifest(folder)
+        path = folder.path / MANIFEST  # last, so that a folder that can be opened by its path is whole
+        if not path.exists():
+            write_atomic(path, wanted.to_bytes())
     return DownloadReport(
         name=wanted.name,
         sha256=wanted.sha256,
@@ -127,22 +127,9 @@ def download(
 def fetch_again(
     folder: ReleaseFolder, locations: Iterable[str], sources: Sequence[str | os.PathLike[str]], again: str
 ) -> None:
-    """Fetch files of a release again. What is in their place is replaced when the right bytes are here.
+    """Fetch files of a release again: each one stays as it was until the right bytes are here.
 
-    Parameters
-    ----------
-    folder : ReleaseFolder
-    locations : iterable of str
-        Of files that the manifest names.
-    sources : sequence of str or path
-        As in ``download``.
-    again : str
-        The command that does the same, for the hint of an error.
-
-    Raises
-    ------
-    InputError, MissingFileError, IntegrityError, StorageError
-        See ``download``. What could not be fetched is as it was before.
+    ``again`` is the command that does the same, for the hint of an error. Sources and errors are those of ``download``.
     """
     wanted = set(locations)
     files = tuple(file for file in folder.manifest.files if file.location in wanted)
@@ -150,8 +137,7 @@ def fetch_again(
     asked = [source for source in _sources(sources, folder.manifest, only_local) if not _is_folder(source, folder.root)]
     with _locks(folder.root, {file.holder for file in files}, Silent()):
         outcome = _fetch(folder, Plan(files, files), asked, JOBS, Silent())
-    if outcome.undelivered:
-        raise _undelivered(folder.manifest, outcome.undelivered, len(files), asked, only_local, again)
+    _raise_undelivered(outcome, len(files), folder, asked, only_local, again)
 
 
 def _is_folder(source: Source, folder: Path) -> bool:
@@ -163,7 +149,7 @@ def _is_folder(source: Source, folder: Path) -> bool:
 def _manifest(release: str | None, path: str | os.PathLike[str] | None) -> Manifest:
     if path is None:
         name = newest() if release is None else release
-        names = [entry.name for entry in published()]
+        names = published()
         if name not in names:
             raise InputError(
                 f"there is no published release {name!r}",
@@ -259,26 +245,17 @@ def _remove_empty(root: Path, paths: Iterable[Path]) -> None:
             path.rmdir()
 
 
-def _write_manifest(folder: ReleaseFolder) -> None:
-    """Into the release's own folder, last, so that the folder can be opened by its path."""
-    path = folder.path / MANIFEST
-    if not path.exists():
-        write_atomic(path, folder.manifest.to_bytes())
-
-
-def _undelivered(
-    manifest: Manifest,
-    failed: Sequence[Undelivered],
-    files: int,
-    asked: Sequence[Source],
-    only_local: bool,
-    again: str,
-) -> MissingFileError | IntegrityError:
-    """The error about files that no source has delivered; ``again`` is the command that asks again."""
+def _raise_undelivered(
+    outcome: Outcome, files: int, folder: ReleaseFolder, asked: Sequence[Source], only_local: bool, again: str
+) -> None:
+    """Raise where no source has delivered a file; ``again`` is the command that asks again."""
+    failed = outcome.undelivered
+    if not failed:
+        return
     by_answers: dict[tuple[tuple[str, str], ...], list[str]] = {}
     for error in sorted(failed, key=lambda error: error.entry.location):
         by_answers.setdefault(tuple(error.answers.items()), []).append(error.entry.location)
-    lines = [f"{len(failed)} of {files} files of {manifest.name} could not be fetched"]
+    lines = [f"{len(failed)} of {files} files of {folder.manifest.name} could not be fetched"]
     for answers, locations in list(by_answers.items())[:_LISTED]:
         lines.append(locations[0] + (f" and {len(locations) - 1} more" if len(locations) > 1 else ""))
         lines += [f"  {label}: {said}" for label, said in answers] or ["  no source is known"]
@@ -290,4 +267,4 @@ def _undelivered(
     if only_local:
         hint = "only folders of this machine were asked (offline): go online, or name a folder: --source FOLDER"
     kind = IntegrityError if any(error.corrupt for error in failed) else MissingFileError
-    return kind("\n".join(lines), hint=hint, files=[error.entry.location for error in failed])
+    raise kind("\n".join(lines), hint=hint, files=[error.entry.location for error in failed])

@@ -27,19 +27,10 @@ _AHEAD = 4
 
 
 class PartFile:
-    """A file that is being fetched, open until ``close``. What is there from an earlier run is kept and hashed.
+    """A file of ``size`` bytes that is being fetched, open until ``close``.
 
-    Parameters
-    ----------
-    target : Path
-        Where the file will be.
-    size : int
-        Bytes of the whole file.
-
-    Attributes
-    ----------
-    position : int
-        Bytes that are there.
+    What an earlier run left is kept and hashed; ``position`` counts the bytes that are there. Every method raises
+    StorageError where the disk is full.
     """
 
     def __init__(self, target: Path, size: int) -> None:
@@ -65,13 +56,7 @@ class PartFile:
         self._file.close()
 
     def add(self, data: bytes) -> None:
-        """Add the next bytes.
-
-        Raises
-        ------
-        StorageError
-            The disk is full, for example.
-        """
+        """Add the next bytes."""
         self._digest.update(data)
         view = memoryview(data)
         with storage_errors(self.path):

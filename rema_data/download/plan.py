@@ -1,4 +1,4 @@
-"""What a download has to fetch (which files are wanted, here and missing), and the report of what it has done."""
+"""What a download has to fetch (files that are asked for, present and missing), and the report of what it has done."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rema_data.download.sources import Source
 from rema_data.errors import StorageError
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, FileEntry
-from rema_data.release.seal import file_sha256
+from rema_data.storage import file_sha256
 
 __all__ = ["BlockPlan", "DownloadReport", "Plan", "check_space", "make_plan"]
 
@@ -26,69 +26,34 @@ WHOLE = "(release)"
 
 @dataclass(frozen=True, slots=True)
 class BlockPlan:
-    """Files of one block.
+    """Files of one block."""
 
-    Attributes
-    ----------
-    block : str
-        Its path, or ``(release)`` for the files that belong to no block.
-    files, bytes : int
-    missing_files, missing_bytes : int
-        Of those, what is not here yet.
-    source : str
-        The first source that is asked for what is missing; local folders that lack it are passed over.
-    """
-
-    block: str
+    block: str  # its path, or ``(release)`` for the files that belong to no block
     files: int
     bytes: int
-    missing_files: int
+    missing_files: int  # not here yet
     missing_bytes: int
-    source: str
+    source: str  # the first source that is asked for what is missing
 
 
 @dataclass(frozen=True, slots=True)
 class DownloadReport:
-    """The result of a download.
-
-    Attributes
-    ----------
-    name, sha256 : str
-        Release and its identity.
-    root : Path
-        The folder of releases; the release's own folder is ``root / name``.
-    files, bytes : int
-        What was asked for.
-    present_files, present_bytes : int
-        What of it was there already.
-    fetched_files, fetched_bytes : int
-        What was not, and is there now (nothing in a dry run).
-    moved_bytes : int
-        What came from the sources: less than ``fetched_bytes`` where an earlier run had begun, more where bytes had
-        to be thrown away.
-    sources : dict of str to int
-        Files that every source has delivered.
-    asked : tuple of str
-        Sources in the order in which they are asked.
-    blocks : tuple of BlockPlan
-        As it was before the download.
-    dry_run : bool
-        Nothing was fetched.
-    """
+    """The result of a download."""
 
     name: str
     sha256: str
-    root: Path
-    files: int
+    root: Path  # the folder of releases; the release's own folder is ``path``
+    files: int  # what was asked for
     bytes: int
-    present_files: int
+    present_files: int  # what of it was there already
     present_bytes: int
-    fetched_files: int
+    fetched_files: int  # what was not, and is there now (nothing in a dry run)
     fetched_bytes: int
+    # what came from the sources: less where an earlier run had begun, more where bytes were thrown away
     moved_bytes: int
-    sources: Mapping[str, int]
-    asked: tuple[str, ...]
-    blocks: tuple[BlockPlan, ...]
+    sources: Mapping[str, int]  # files that every source has delivered
+    asked: tuple[str, ...]  # sources in the order in which they are asked
+    blocks: tuple[BlockPlan, ...]  # as it was before the download
     dry_run: bool
 
     @property
@@ -103,17 +68,10 @@ class DownloadReport:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Wanted files of a release.
-
-    Attributes
-    ----------
-    files : tuple of FileEntry
-    missing : tuple of FileEntry
-        Those that are not here with their size.
-    """
+    """Wanted files of a release."""
 
     files: tuple[FileEntry, ...]
-    missing: tuple[FileEntry, ...]
+    missing: tuple[FileEntry, ...]  # those that are not here with their size
 
     @property
     def bytes(self) -> int:
@@ -170,12 +128,7 @@ def make_plan(release: ReleaseFolder, files: Iterable[FileEntry]) -> Plan:
 
 
 def check_space(root: Path, plan: Plan) -> None:
-    """Raise where the missing bytes do not fit on the disk of ``root``, which need not exist yet.
-
-    Raises
-    ------
-    StorageError
-    """
+    """Raise StorageError where the missing bytes do not fit on the disk of ``root``, which need not exist yet."""
     needed = sum(entry.bytes - min(entry.bytes, _arrived(root, entry)) for entry in plan.missing)
     place = next(folder for folder in (root, *root.absolute().parents) if folder.exists())
     free = shutil.disk_usage(place).free

@@ -22,21 +22,11 @@ _GRACE_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What the threads have done.
+    """What the threads have done."""
 
-    Attributes
-    ----------
-    moved : int
-        Bytes that came from the sources.
-    used : dict of str to int
-        Files that every source has delivered, by its label.
-    undelivered : tuple of Undelivered
-        Files that no source has delivered.
-    """
-
-    moved: int
-    used: dict[str, int]
-    undelivered: tuple[Undelivered, ...]
+    moved: int  # bytes that came from the sources
+    used: dict[str, int]  # files that every source has delivered, by its label
+    undelivered: tuple[Undelivered, ...]  # files that no source has delivered
 
 
 def fetch_files(
@@ -44,10 +34,7 @@ def fetch_files(
 ) -> Outcome:
     """Fetch files to ``root``; the ones that no source delivers are in the outcome.
 
-    Raises
-    ------
-    StorageError
-        The disk is full or may not be written: the other threads are stopped. What has arrived stays.
+    A full disk stops all threads and raises StorageError. What has arrived stays.
     """
     stop, lock = threading.Event(), threading.Lock()
     waiting: queue.SimpleQueue[FileEntry] = queue.SimpleQueue()

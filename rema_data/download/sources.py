@@ -35,17 +35,8 @@ _TIMEOUTS = (TimeoutError, WebTimeoutError)
 class Source:
     """A folder of releases: the file ``holder/path`` lies at ``url/holder/path``.
 
-    Parameters
-    ----------
-    url : str or path
-        A folder, or any URL that fsspec opens: ``file://``, ``http(s)://``, ``s3://``, ...
-
-    Attributes
-    ----------
-    label : str
-        The URL without user, password and query.
-    local : bool
-        A folder of this machine.
+    ``url`` is a folder, or anything that fsspec opens: ``file://``, ``http(s)://``, ``s3://``, ... ``label`` is the URL
+    without user, password and query; ``local`` tells a folder of this machine.
     """
 
     def __init__(self, url: str | os.PathLike[str]) -> None:
@@ -63,12 +54,7 @@ class Source:
         return f"Source({self.label!r})"
 
     def check(self) -> None:
-        """Raise where the URL cannot be one, or a package that reads it is missing.
-
-        Raises
-        ------
-        InputError
-        """
+        """Raise InputError where the URL cannot be one, or a package that reads it is missing."""
         try:
             if self._web is None:
                 self._filesystem()
@@ -98,29 +84,12 @@ class Source:
 
     @contextmanager
     def open(self, location: str, start: int, size: int) -> Iterator[tuple[int, Callable[[int], bytes]]]:
-        """A file from byte ``start`` on.
+        """A file of ``size`` bytes, ``holder/path``, from byte ``start`` on.
 
-        Parameters
-        ----------
-        location : str
-            ``holder/path``.
-        start : int
-        size : int
-            Bytes of the whole file.
-
-        Yields
-        ------
-        int
-            Offset of the first byte: ``start``, or 0 where a server ignores ranges.
-        callable
-            Takes the largest number of bytes to read. The next bytes, as many as have arrived; empty at the end.
-
-        Raises
-        ------
-        Refused
-            It is not there, or has another size, or something else comes in its place.
-        Faltered
-            The source does not answer now. Reading raises both as well.
+        Yields the offset of the first byte (``start``, or 0 where a server ignores ranges), and a function that reads:
+        it takes the largest number of bytes and returns as many as have arrived, none at the end. Both raise
+        ``Refused`` where the file is absent or another one comes in its place, and ``Faltered`` where the source does
+        not answer now.
         """
         opened = self._open_blocks if self._web is None else self._web.open
         with ExitStack() as stack:

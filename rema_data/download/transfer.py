@@ -1,7 +1,7 @@
 """One file, from one source after the other, until it is whole and its sha256 is right.
 
 The sources are asked in order, and the next one at once where one fails. Only when all have failed does a thread wait,
-and asks again those that may recover. A connection that drops goes on at the byte where it stopped.
+and asks again those that may recover. A dropped connection resumes at the byte where it stopped.
 """
 
 from __future__ import annotations
@@ -31,14 +31,8 @@ BYTES_PER_DROP = 1 << 20
 class Mirrors:
     """The sources of a download, in order, with what is known of them. Threads share it.
 
-    Parameters
-    ----------
-    sources : sequence of Source
-    patience : int
-        A source that fails for so many files in a row is given up. More than the number of threads: they all fail at
-        once when a server has a bad second.
-    note : callable
-        Gets a line about a source that is given up.
+    A source that fails for ``patience`` files in a row is given up, and ``note`` gets a line about it. The number is
+    above that of the threads: they all fail at once when a server has a bad second.
     """
 
     def __init__(self, sources: Sequence[Source], patience: int, note: Callable[[str], None]) -> None:
@@ -57,8 +51,8 @@ class Mirrors:
 
     def given_up(self) -> dict[Source, str]:
         """Sources that have been given up, with what they said last."""
-        with self._lock:
-            return {source: self._said[source] for source in self._sources if self._strikes[source] >= self._patience}
+        usable = self.usable()
+        return {source: self._said[source] for source in self._sources if source not in usable}
 
     def settle(self, winner: Source | None, failed: Mapping[Source, str]) -> None:
         """A file is done with: ``winner`` has delivered it, ``failed`` should have, and said why they could not."""
@@ -84,21 +78,8 @@ class Mirrors:
 class Transfer:
     """The fetching of one file.
 
-    Parameters
-    ----------
-    entry : FileEntry
-    target : Path
-        Where it will be.
-    mirrors : Mirrors
-    advance : callable
-        Gets the number of bytes by which the file has grown; negative where bytes are thrown away.
-    stop : threading.Event
-        Ends the transfer at the next chunk.
-
-    Attributes
-    ----------
-    moved : int
-        Bytes that came from the sources, those thrown away included.
+    ``advance`` gets the bytes by which the file grows, negative where bytes are thrown away; ``moved`` counts all that
+    came from the sources. ``stop`` ends the transfer at the next chunk.
     """
 
     def __init__(
@@ -114,16 +95,7 @@ class Transfer:
         self._corrupt = False
 
     def run(self) -> None:
-        """Fetch the file.
-
-        Raises
-        ------
-        Undelivered
-            No source has delivered it.
-        Stopped
-        StorageError
-            The disk is full or may not be written.
-        """
+        """Fetch the file; raises Undelivered, Stopped, or StorageError where the disk is full."""
         with closing(PartFile(self.target, self.entry.bytes)) as part:
             if part.position:
                 self._origins.add(None)
@@ -164,12 +136,7 @@ class Transfer:
         raise Undelivered(self.entry, answers, self._corrupt)
 
     def _take(self, part: PartFile, source: Source) -> None:
-        """The rest of the file from one source, in as many connections as bring it forward.
-
-        Raises
-        ------
-        Refused, Faltered
-        """
+        """The rest of the file from one source, in as many connections as bring it forward; or Refused or Faltered."""
         drops, began = 0, part.position
         while True:
             before = part.position
@@ -188,7 +155,7 @@ class Transfer:
                 raise Refused(f"sent other bytes than the release has (expected sha256 {self.entry.sha256[:12]}...)")
 
     def _stream(self, part: PartFile, source: Source) -> None:
-        """One connection, from where the file stands to its end."""
+        """One connection, from the next missing byte to the end."""
         self._raise_if_stopped()
         with source.open(self.entry.location, part.position, part.size) as (start, read):
             skip = part.position - start

@@ -34,13 +34,7 @@ _RANGE = re.compile(r"bytes (\d+)-\d+/(\d+|\*)")
 
 
 class WebFolder:
-    """A folder of releases behind a URL of HTTP. Threads share it.
-
-    Parameters
-    ----------
-    url : str
-        Its user and password are sent to its server, and to no other.
-    """
+    """A folder of releases on a web server, which alone gets user and password of the URL. Threads share it."""
 
     def __init__(self, url: str) -> None:
         self._url = urlsplit(url)
@@ -48,13 +42,7 @@ class WebFolder:
         self._lock = threading.Lock()
 
     def check(self) -> None:
-        """Raise where the URL cannot be one.
-
-        Raises
-        ------
-        ValueError
-            Its message holds no secret.
-        """
+        """Raise ValueError, without a secret in it, where the URL cannot be one."""
         try:
             _ = self._url.port
         except ValueError:
@@ -149,7 +137,7 @@ class WebFolder:
             return None
 
     def _login(self, parts: SplitResult, header: str) -> dict[str, str]:
-        """For a URL: what stands in it, or in the source's URL where that is the same server, or in ``.netrc``."""
+        """User and password for a URL: its own, those of the source's URL (same server), or those of ``.netrc``."""
         if parts.username is None and (parts.scheme, _netloc(parts)) == (self._url.scheme, _netloc(self._url)):
             parts = self._url
         found = None if self._netrc is None else self._netrc.authenticators(parts.hostname or "")

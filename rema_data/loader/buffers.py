@@ -1,4 +1,4 @@
-"""Large arrays whose memory is used again: fresh memory costs more than what is written into it."""
+"""Large arrays whose memory is used again: allocating new memory costs more than writing into it."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ from rema_data.loader.index import Categories, Index
 from rema_data.loader.record import is_whole, write_record
 from rema_data.progress import Progress
 from rema_data.schema import Embodiment
-from rema_data.storage import storage_errors, sync_folder
+from rema_data.storage import storage_errors, sync_file, sync_folder
 
 if TYPE_CHECKING:
     from rema_data.release.folder import ReleaseFolder
@@ -47,23 +47,16 @@ def open_cache(
     folder: Path | None = None,
     progress: Progress | None = None,
 ) -> DecodedCache:
-    """The cache of some blocks, built where it is missing or damaged; one process builds, others wait for it.
+    """The cache of some local blocks, built where it is missing or damaged; one process builds, others wait for it.
 
-    Parameters
-    ----------
-    release : ReleaseFolder
-    blocks : sequence of BlockEntry
-        Blocks that are on this machine.
-    folder : Path, optional
-        Of all caches; by default ``REMA_HOME/decoded``.
-    progress : Progress, optional
+    ``folder`` holds all caches: by default ``REMA_HOME/decoded``.
 
     Raises
     ------
     StorageError
         The folder cannot be written or is full.
     IntegrityError, MissingFileError
-        A file of the release is damaged or gone.
+        A file of the release is damaged or missing.
     """
     folder = caches_folder() if folder is None else folder
     path = folder / cache_name(release, blocks)
@@ -93,8 +86,11 @@ def decode_to_memory(
     arrays = {
         name: np.empty((rows, *MAP_ARRAYS[name][1]), MAP_ARRAYS[name][0]) for name, rows in map_rows(blocks).items()
     }
-    sink = _MemorySink(arrays)
-    index, categories = decode_blocks(release, blocks, sink, jobs=_jobs(), progress=progress)
+
+    def put(name: str, start: int, rows: Array) -> None:
+        arrays[name][start : start + len(rows)] = rows
+
+    index, categories = decode_blocks(release, blocks, put, jobs=_jobs(), progress=progress)
     maps = MapArrays(**arrays)
     share_repeats(index, categories, maps)
     for array in (*arrays.values(), index):
@@ -121,13 +117,13 @@ def _build(release: ReleaseFolder, blocks: Sequence[BlockEntry], path: Path, pro
     try:
         with _cache_errors(path):
             sink = _FileSink(temporary, rows)
-        index, categories = decode_blocks(release, blocks, sink, jobs=_jobs(), progress=progress)
+        index, categories = decode_blocks(release, blocks, sink.put, jobs=_jobs(), progress=progress)
         share_repeats(index, categories, sink.open())
         with _cache_errors(path):
             np.save(temporary / "index.npy", index)
             files = sorted(temporary.iterdir())
             for file in files:
-                _sync(file)
+                sync_file(file)
             about = {
                 "release": release.manifest.name,
                 "sha256": release.manifest.sha256,
@@ -149,7 +145,7 @@ def _build(release: ReleaseFolder, blocks: Sequence[BlockEntry], path: Path, pro
 
 @contextmanager
 def _cache_errors(path: Path) -> Iterator[None]:
-    """As ``storage_errors``, with the ways around a cache that cannot be written."""
+    """As ``storage_errors``, with hints for a cache that cannot be written."""
     try:
         with storage_errors(path):
             yield
@@ -166,19 +162,6 @@ def _check_space(path: Path, needed: int) -> None:
             needed=needed,
             free=free,
         )
-
-
-def _sync(path: Path) -> None:
-    with path.open("rb+") as file:
-        os.fsync(file.fileno())
-
-
-class _MemorySink:
-    def __init__(self, arrays: dict[str, Array]) -> None:
-        self._arrays = arrays
-
-    def put(self, name: str, start: int, rows: Array) -> None:
-        self._arrays[name][start : start + len(rows)] = rows
 
 
 class _FileSink:

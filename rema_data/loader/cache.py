@@ -40,21 +40,11 @@ Array = npt.NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class MapArrays:
-    """The decoded maps.
+    """The decoded maps."""
 
-    Attributes
-    ----------
-    scene : int16 (steps, 64, 64)
-        Height above the table, 0.1 mm.
-    ee_depth : int16 (maps, 2, 112, 112)
-        Height above the end effector's lowest allowed point, 0.1 mm.
-    ee_mask : uint8 (maps, 2, 112, 14)
-        Packed: see ``rema_data.heights.unpack_mask``.
-    """
-
-    scene: Array
-    ee_depth: Array
-    ee_mask: Array
+    scene: Array  # int16 (steps, 64, 64): height above the table, 0.1 mm
+    ee_depth: Array  # int16 (maps, 2, 112, 112): height above the end effector's lowest allowed point, 0.1 mm
+    ee_mask: Array  # uint8 (maps, 2, 112, 14): packed, see ``rema_data.heights.unpack_mask``
 
 
 class DecodedCache:
@@ -65,15 +55,6 @@ class DecodedCache:
 
     def __init__(self, folder: Path) -> None:
         self.folder: Path | None = folder
-
-    @cached_property
-    def _record(self) -> dict[str, Any]:
-        return read_record(self._path)
-
-    @property
-    def _path(self) -> Path:
-        assert self.folder is not None
-        return self.folder
 
     @cached_property
     def maps(self) -> MapArrays:
@@ -88,17 +69,19 @@ class DecodedCache:
     @cached_property
     def categories(self) -> Categories:
         """Values of the index's text columns."""
-        found: Categories = self._record["categories"]
+        assert self.folder is not None
+        found: Categories = read_record(self.folder)["categories"]
         return found
 
     def _map(self, name: str) -> Array:
+        assert self.folder is not None
         try:
-            return np.asarray(np.load(self._path / f"{name}.npy", mmap_mode="r"))
+            return np.asarray(np.load(self.folder / f"{name}.npy", mmap_mode="r"))
         except (OSError, ValueError) as error:
             raise MissingFileError(
-                f"the decoded cache {self._path} was removed or damaged while it was in use",
+                f"the decoded cache {self.folder} was removed or damaged while it was in use",
                 hint="load the release again: rema_data.load builds it",
-                path=str(self._path),
+                path=str(self.folder),
             ) from error
 
     def __getstate__(self) -> dict[str, Any]:

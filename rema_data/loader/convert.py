@@ -24,14 +24,9 @@ _ROWS = 8
 
 
 def to_metres_cpu(read: Callable[[slice], Maps], count: int) -> tuple[Tensor, Tensor]:
-    """Maps of some steps, converted piece by piece.
+    """Maps of ``count`` steps, converted a few at a time.
 
-    Parameters
-    ----------
-    read : callable
-        Scene, end-effector depth and packed mask of a range of the steps, quantised.
-    count : int
-        Number of steps.
+    ``read`` gives scene, end-effector depth and packed mask of a range of the steps, quantised.
 
     Returns
     -------

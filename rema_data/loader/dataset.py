@@ -36,44 +36,24 @@ Indices = Sequence[int] | Array | Tensor
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
-    """What a batch is gathered by, one entry a step of the dataset.
+    """What a batch is gathered by, one entry a step of the dataset."""
 
-    Attributes
-    ----------
-    scene, ee : int64 (N,)
-        Rows of the maps in the decoded cache.
-    action : int64 (N,)
-    success : bool (N,)
-    position : int64 (N,)
-        0, 1, 2, ...
-    """
-
-    scene: Array
-    ee: Array
-    action: Array
-    success: Array
-    position: Array
+    scene: Array  # int64 (N,): rows of the scene maps in the decoded cache
+    ee: Array  # int64 (N,): rows of the end-effector maps
+    action: Array  # int64 (N,)
+    success: Array  # bool (N,)
+    position: Array  # int64 (N,): 0, 1, 2, ...
 
 
 class StepDataset(Dataset[StepBatch | FloatBatch]):
     """Steps of a release for training; ``Release.steps`` makes one.
 
     It may be forked, pickled and sent to spawned workers: every process maps the decoded files for itself.
-
-    Parameters
-    ----------
-    cache : DecodedCache
-    selected : int64 (N,)
-        Rows of the cache's index, in the order of the dataset.
-    identity : str
-        Names what was selected, from which release.
-    maps : "quantised" or "float32"
-        What a batch holds.
     """
 
     def __init__(self, cache: DecodedCache, selected: Array, identity: str, maps: Delivery = "quantised") -> None:
         if maps not in ("quantised", "float32"):
-            raise InputError(f"maps={maps!r} is no way to deliver maps", hint="use maps='quantised' or maps='float32'")
+            raise InputError(f"maps={maps!r} is unknown", hint="use maps='quantised' or maps='float32'")
         self.delivery: Delivery = maps
         self._cache = cache
         self._selected = selected

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,12 +15,13 @@ from rema_data.grid import EE_PIXELS, SCENE_PIXELS
 from rema_data.heights import decode_heights
 from rema_data.loader.index import Categories, Index, encode_steps
 from rema_data.progress import Progress, Silent
+from rema_data.storage import file_sha256
 
 if TYPE_CHECKING:
     from rema_data.release.folder import ReleaseFolder
     from rema_data.release.manifest import BlockEntry, FileEntry
 
-__all__ = ["MAP_ARRAYS", "Sink", "decode_blocks", "map_rows", "row_bytes"]
+__all__ = ["MAP_ARRAYS", "Put", "decode_blocks", "map_rows", "row_bytes"]
 
 Array = npt.NDArray[Any]
 
@@ -33,16 +33,13 @@ MAP_ARRAYS: dict[str, tuple[str, tuple[int, ...]]] = {
 """Type and shape of one row of every decoded array: heights in 0.1 mm above the table, masks packed."""
 
 
-class Sink(Protocol):
-    """Where decoded rows go."""
-
-    def put(self, name: str, start: int, rows: Array) -> None:
-        """Store rows of an array from row ``start`` on. Called from several threads, for rows that do not overlap."""
+Put = Callable[[str, int, Array], None]
+"""Stores rows of an array from a row on. Called from several threads, for rows that do not overlap."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Piece:
-    """Rows of one array of one block, and the row where they begin in the sink."""
+    """Rows of one array of one block, and the row where they begin among all blocks."""
 
     name: str
     start: int
@@ -54,9 +51,9 @@ class _Piece:
     def bytes(self) -> int:
         return row_bytes(self.name) * (self.stop - self.start)
 
-    def decode(self, sink: Sink) -> int:
+    def decode(self, put: Put) -> int:
         rows = self.read(self.name, self.start, self.stop)
-        sink.put(self.name, self.target, decode_heights(rows) if rows.dtype == np.uint16 else rows)
+        put(self.name, self.target, decode_heights(rows) if rows.dtype == np.uint16 else rows)
         return self.bytes
 
 
@@ -76,35 +73,19 @@ def map_rows(blocks: Sequence[BlockEntry]) -> dict[str, int]:
 def decode_blocks(
     release: ReleaseFolder,
     blocks: Sequence[BlockEntry],
-    sink: Sink,
+    put: Put,
     *,
     jobs: int,
     progress: Progress | None = None,
 ) -> tuple[Index, Categories]:
-    """Decode blocks, one after the other, into ``sink``.
-
-    Parameters
-    ----------
-    release : ReleaseFolder
-    blocks : sequence of BlockEntry
-    sink : Sink
-    jobs : int
-        Threads.
-    progress : Progress, optional
-        Told the bytes that are decoded.
-
-    Returns
-    -------
-    index : structured array
-        Of ``INDEX_DTYPE``; its map rows count within the sink.
-    categories : dict of str to list of str
+    """Decode blocks one after the other; returns the index of their steps, whose map rows count over all of them.
 
     Raises
     ------
     IntegrityError
         A file is not the one that the manifest names, or cannot be decoded.
     MissingFileError
-        A file is not there.
+        A file does not exist.
     """
     wanted = {block.key.path for block in blocks}
     files = [file for file in release.manifest.files if file.block in wanted]
@@ -115,7 +96,7 @@ def decode_blocks(
         pieces = list(_pieces(release, blocks))
         progress = progress or Silent()
         progress.phase(f"decode {release.manifest.name}", sum(piece.bytes for piece in pieces))
-        for future in as_completed([pool.submit(piece.decode, sink) for piece in pieces]):
+        for future in as_completed([pool.submit(piece.decode, put) for piece in pieces]):
             progress.advance(future.result())
     finally:
         pool.shutdown(cancel_futures=True)
@@ -125,8 +106,7 @@ def decode_blocks(
 def _check(release: ReleaseFolder, entry: FileEntry) -> None:
     path = release.file(entry)
     try:
-        with path.open("rb") as file:
-            got = hashlib.file_digest(file, "sha256").hexdigest()
+        got = file_sha256(path)
     except FileNotFoundError:
         raise MissingFileError(f"file {path} does not exist", hint=release.repair.at(path), path=str(path)) from None
     if got != entry.sha256:
@@ -140,7 +120,7 @@ def _check(release: ReleaseFolder, entry: FileEntry) -> None:
 
 
 def _read_index(release: ReleaseFolder, blocks: Sequence[BlockEntry]) -> tuple[Index, Categories]:
-    """Index of the blocks in a row, its map rows moved to where the sink has them."""
+    """Index of the blocks in a row, its map rows counted over all of them."""
     tables = [release.block(block).steps() for block in blocks]
     index, categories = encode_steps(tables)
     start = first_map = 0

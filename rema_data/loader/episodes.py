@@ -27,17 +27,7 @@ def observation(maps: MapArrays, scene_row: int, ee_row: int) -> Observation:
 
 
 def read_episode(episodes: pa.Table, steps: pa.Table, position: int, cache: DecodedCache, first: int) -> Episode:
-    """The episode in row ``position`` of a block's tables.
-
-    Parameters
-    ----------
-    episodes, steps : pyarrow.Table
-        Of the block.
-    position : int
-    cache : DecodedCache
-    first : int
-        Row of the block's first step in the cache's index.
-    """
+    """The episode in row ``position`` of a block's tables; ``first`` is where the block begins in the cache."""
     (head,) = episodes.slice(position, 1).to_pylist()
     rows = steps.slice(head["first_step"], head["steps"]).to_pylist()
     places = cache.index[first + head["first_step"] :][: len(rows)]

@@ -5,7 +5,6 @@ Opening looks at sizes and headers, which takes a millisecond; ``damaged_files``
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from collections.abc import Mapping, Sequence
@@ -17,7 +16,7 @@ import numpy as np
 
 from rema_data.loader.decode import MAP_ARRAYS
 from rema_data.loader.index import INDEX_DTYPE
-from rema_data.storage import write_atomic
+from rema_data.storage import file_sha256, write_atomic
 
 __all__ = ["CACHE_VERSION", "damaged_files", "has_digests", "is_whole", "read_record", "write_record"]
 
@@ -29,21 +28,7 @@ _JOBS = 2
 
 
 def write_record(folder: Path, files: Sequence[Path], about: Mapping[str, Any]) -> None:
-    """Write the record of a cache whose files are finished.
-
-    Parameters
-    ----------
-    folder : Path
-    files : sequence of Path
-        Its arrays.
-    about : mapping
-        Whatever else is to stand in it.
-
-    Raises
-    ------
-    StorageError
-        The disk is full or may not be written.
-    """
+    """Write the record of a cache whose ``files`` are finished; ``about`` is added to it."""
     with ThreadPoolExecutor(_JOBS) as pool:
         digests = dict(zip((file.name for file in files), pool.map(_sha256, files), strict=True))
     sizes = {file.name: file.stat().st_size for file in files}
@@ -52,7 +37,7 @@ def write_record(folder: Path, files: Sequence[Path], about: Mapping[str, Any]) 
 
 
 def read_record(folder: Path) -> dict[str, Any]:
-    """The record of a cache; OSError, ValueError, KeyError or TypeError where it is none."""
+    """The record of a cache. Raises OSError, ValueError, KeyError or TypeError where it cannot be read."""
     record = json.loads((folder / _RECORD).read_bytes())
     if record["version"] != CACHE_VERSION:
         raise ValueError(f"the cache has version {record['version']}")
@@ -79,10 +64,7 @@ def has_digests(folder: Path) -> bool:
 
 
 def damaged_files(folder: Path) -> tuple[str, ...]:
-    """Names of the files of a cache whose content is not what was written; every byte is read.
-
-    None where the record has no checksums (``has_digests``).
-    """
+    """Files of a cache whose content has changed since it was written; empty where there are no checksums."""
     if not has_digests(folder):
         return ()
     wanted = read_record(folder)["digests"]
@@ -96,8 +78,7 @@ def damaged_files(folder: Path) -> tuple[str, ...]:
 def _sha256(path: Path) -> str:
     """Of a file; empty where it cannot be read."""
     try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        return file_sha256(path)
     except OSError:
         return ""
 

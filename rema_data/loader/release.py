@@ -33,13 +33,6 @@ class Release:
     """A release on this machine; ``load`` makes one.
 
     Opening reads the manifest only. The blocks are decoded when something of them is first asked for, once per machine.
-
-    Parameters
-    ----------
-    folder : ReleaseFolder
-    cache : path or "memory", optional
-    progress : rema_data.progress.Progress, optional
-        As in ``load``.
     """
 
     def __init__(
@@ -82,7 +75,7 @@ class Release:
         StorageError
             The cache folder cannot be written, or is full.
         IntegrityError, MissingFileError
-            A file of the release is damaged, or gone.
+            A file of the release is damaged or missing.
         """
         if self._cache_option == "memory":
             return decode_to_memory(self.folder, self.blocks, self._progress)
@@ -222,7 +215,7 @@ def load(
         Folder of decoded caches, by default ``REMA_HOME/decoded``; or "memory", to decode into the memory of this
         process.
     progress : rema_data.progress.Progress, optional
-        Told the bytes that are decoded.
+        Gets the number of decoded bytes.
 
     Raises
     ------

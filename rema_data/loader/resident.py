@@ -27,16 +27,6 @@ class ResidentDataset(Dataset[StepBatch | FloatBatch]):
     """What ``StepDataset.resident`` returns: the same steps, the same batches, on a device.
 
     For use in one process: ``DataLoader(..., num_workers=0)``, or a loop over the sampler.
-
-    Parameters
-    ----------
-    dataset : StepDataset
-    device : torch.device or str
-
-    Raises
-    ------
-    InputError
-        The maps do not fit into the free memory of the device.
     """
 
     def __init__(self, dataset: StepDataset, device: torch.device | str) -> None:

@@ -1,7 +1,6 @@
-"""Batches on their way from a worker process: all tensors of a batch in one piece of shared memory.
+"""Batches on their way from a worker process: all tensors of a batch in one block of shared memory.
 
-Torch would make one piece a tensor and hand over a file descriptor for each: for small batches that costs more than
-what is in them.
+Torch makes one block and one file descriptor for each tensor: for small batches that costs more than their content.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The card of a release: datasheet, Croissant description, licence and citation, written beside the data.
 
-Every byte follows from the manifest: sealing the same data twice gives the same card.
+The card depends on the manifest only: sealing the same data twice gives the same bytes.
 """
 
 from __future__ import annotations
@@ -38,20 +38,7 @@ references:
 
 
 def write_card(folder: Path, manifest: Manifest) -> None:
-    """Write the card of a release that is about to be sealed.
-
-    Parameters
-    ----------
-    folder : Path
-        The release's own folder.
-    manifest : Manifest
-        A draft that lists the data files.
-
-    Raises
-    ------
-    StorageError
-        The disk is full or may not be written.
-    """
+    """Write the card of a release that is about to be sealed; ``manifest`` is a draft that lists the data files."""
     description = json.dumps(croissant(manifest), indent=1, ensure_ascii=False) + "\n"
     texts = (_citation(manifest), datasheet(manifest), licence_notice(manifest), description)
     for name, text in zip(CARD, texts, strict=True):

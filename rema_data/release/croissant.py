@@ -87,13 +87,10 @@ _MAPS = (
 
 
 def croissant(manifest: Manifest) -> dict[str, Any]:
-    """Croissant description of a release as a JSON-LD object.
+    """Croissant description of a release as a JSON-LD object; ``manifest`` is a draft that lists the data files.
 
-    Parameters
-    ----------
-    manifest : Manifest
-        A draft that lists the data files. Files of blocks that lie in the folder of an earlier release are listed
-        too; the records are those of the release's own folder.
+    Files of blocks that lie in the folder of an earlier release are listed too; the records are those of the release's
+    own folder.
     """
     dated = {"datePublished": manifest.published} if manifest.published else {}
     based = {} if manifest.parent is None else {"isBasedOn": f"../{manifest.parent.name}/croissant.json"}

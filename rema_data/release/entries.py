@@ -44,22 +44,12 @@ class StrictRecord:
 
 @dataclass(frozen=True, slots=True)
 class FileEntry(StrictRecord):
-    """One file of a release.
+    """One file of a release."""
 
-    Attributes
-    ----------
-    path : str
-        Inside the folder of its holder, with forward slashes.
-    bytes : int
-    sha256 : str
-    holder : str
-        Name of the release in whose folder the file lies.
-    """
-
-    path: str
+    path: str  # inside the folder of its holder, with forward slashes
     bytes: int
     sha256: str
-    holder: str
+    holder: str  # name of the release in whose folder the file lies
 
     def __post_init__(self) -> None:
         parts = self.path.split("/")
@@ -86,32 +76,17 @@ class FileEntry(StrictRecord):
 
 @dataclass(frozen=True, slots=True)
 class BlockEntry(StrictRecord):
-    """What a block holds.
-
-    Attributes
-    ----------
-    round : int
-    task, split : str
-    episodes, steps : int
-    end_effectors : int
-        Different end-effector maps.
-    positives : int
-        Episodes that succeeded.
-    policies : tuple of str
-        Behaviour policy of every step of the task, in order.
-    holder : str
-        Release in whose folder the block lies.
-    """
+    """What a block holds."""
 
     round: int
     task: str
     split: str
     episodes: int
     steps: int
-    end_effectors: int
-    positives: int
-    policies: tuple[str, ...]
-    holder: str
+    end_effectors: int  # different end-effector maps
+    positives: int  # episodes that succeeded
+    policies: tuple[str, ...]  # behaviour policy of every step of the task, in order
+    holder: str  # release in whose folder the block lies
 
     def __post_init__(self) -> None:
         for name in ("episodes", "steps", "end_effectors", "positives"):

@@ -23,17 +23,10 @@ __all__ = ["ReleaseFolder", "downloads_folder", "find_release", "local_sources"]
 
 @dataclass(frozen=True)
 class ReleaseFolder:
-    """A release whose files lie below ``root``.
-
-    Attributes
-    ----------
-    manifest : Manifest
-    root : Path
-        The folder of releases: a file is at ``root / holder / path``.
-    """
+    """A release whose files lie below ``root``."""
 
     manifest: Manifest
-    root: Path
+    root: Path  # the folder of releases: a file is at ``root / holder / path``
 
     @property
     def path(self) -> Path:
@@ -64,13 +57,7 @@ class ReleaseFolder:
         return tuple(block for block in self.manifest.blocks if block.key.path not in missing)
 
     def require(self, wanted: Iterable[BlockEntry]) -> None:
-        """Raise where one of the blocks is not here whole.
-
-        Raises
-        ------
-        MissingFileError
-            With the command that fetches it.
-        """
+        """Raise MissingFileError, with the command that fetches them, where blocks are not here whole."""
         here = {block.key for block in self.blocks()}
         missing = [block for block in wanted if block.key not in here]
         if missing:
@@ -98,7 +85,7 @@ class ReleaseFolder:
     def repair(self) -> ReleaseRepair:
         """The commands that bring its files back."""
         manifest, root = self.manifest, self.root.resolve()
-        is_published = any(entry.sha256 == manifest.sha256 for entry in published())
+        is_published = manifest.sha256 in published().values()
         try:
             by_name = is_published and find_release(manifest.name).root.resolve() == root
         except RemaError:
@@ -151,13 +138,12 @@ def find_release(name_or_path: str | os.PathLike[str] | None = None) -> ReleaseF
     if name_or_path is None:
         return _find_default()
     text = os.fspath(name_or_path)
-    names = {entry.name for entry in published()}
-    if text not in names:
+    if text not in published():
         folder = Path(text).expanduser()
         if not folder.is_dir():
-            listed = ", ".join(sorted(names))
             raise InputError(
-                f"{text!r} is neither a published release nor a folder", hint=f"published releases: {listed}"
+                f"{text!r} is neither a published release nor a folder",
+                hint=f"published releases: {', '.join(sorted(published()))}",
             )
         path = folder / MANIFEST
         if not path.is_file():
@@ -186,14 +172,13 @@ def _parse_beside_data(path: Path) -> Manifest:
         return parse_manifest(path.read_bytes(), str(path))
     except IntegrityError as error:
         root, name = path.resolve().parents[1], path.resolve().parent.name
-        known = name in {entry.name for entry in published()}
-        error.hint = release_manifest(path, published=known, downloaded=_is_downloads(root))
+        error.hint = release_manifest(path, published=name in published(), downloaded=_is_downloads(root))
         raise
 
 
 def _find_default() -> ReleaseFolder:
     """The newest published release that is here, else the sample."""
-    names = [entry.name for entry in reversed(published())]
+    names = reversed([*published()])
     for name in sorted(names, key=lambda name: name == SAMPLE):
         try:
             return find_release(name)

@@ -57,26 +57,7 @@ ENCODING: dict[str, float] = {
 
 @dataclass(frozen=True)
 class Manifest(StrictRecord):
-    """A release, whole.
-
-    Attributes
-    ----------
-    name : str
-    title, description, license, citation : str
-    blocks : tuple of BlockEntry
-    files : tuple of FileEntry
-        Sorted by location.
-    fingerprint : dict of str to str
-        Of the simulator that made it.
-    plan_sha256 : str
-        Of the collection plan.
-    parent : Parent or None
-    sources : tuple of str
-        URLs of folders of releases, in the order in which they are tried.
-    published : str
-        Day of publication as YYYY-MM-DD, or empty.
-    schema_version : int
-    """
+    """A release, whole."""
 
     name: str
     title: str
@@ -84,12 +65,12 @@ class Manifest(StrictRecord):
     license: str
     citation: str
     blocks: tuple[BlockEntry, ...]
-    files: tuple[FileEntry, ...]
-    fingerprint: Mapping[str, str] = field(default_factory=dict)
-    plan_sha256: str = ""
+    files: tuple[FileEntry, ...]  # sorted by location
+    fingerprint: Mapping[str, str] = field(default_factory=dict)  # of the simulator that made it
+    plan_sha256: str = ""  # of the collection plan
     parent: Parent | None = None
-    sources: tuple[str, ...] = ()
-    published: str = ""
+    sources: tuple[str, ...] = ()  # URLs of folders of releases, in the order in which they are tried
+    published: str = ""  # day of publication as YYYY-MM-DD, or empty
     schema_version: int = SCHEMA_VERSION
 
     def to_bytes(self) -> bytes:
@@ -185,7 +166,7 @@ def parse_manifest(data: bytes, where: str, sha256: str | None = None, hint: str
     where : str
         File or URL, for messages.
     sha256 : str, optional
-        What the bytes must hash to: the identity of a release that was checked when it was sealed. Without it, every
+        Identity that the bytes must have. Such a manifest was checked when it was sealed; without an identity, every
         field is checked here.
     hint : str
         The command that brings the right bytes back, where the caller knows it.
@@ -193,9 +174,9 @@ def parse_manifest(data: bytes, where: str, sha256: str | None = None, hint: str
     Raises
     ------
     IntegrityError
-        They are not what ``sha256`` names, not a manifest, name a path outside the release, or contradict themselves.
+        The bytes have another identity, are not a manifest, name a path outside the release, or contradict themselves.
     InputError
-        The schema version is not one that this version of rema can read.
+        This version of rema cannot read the schema version.
     """
     hint = hint or copy_again(where)
     got = hashlib.sha256(data).hexdigest()

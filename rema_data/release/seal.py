@@ -1,4 +1,4 @@
-"""Sealing: a folder of blocks becomes a release, once and for all.
+"""Sealing: a folder of blocks becomes a release, which never changes.
 
 The manifest is written last, then the folder gets its name: a release that can be found is whole. Its files are made
 read-only; a later change is a new release.
@@ -6,7 +6,6 @@ read-only; a later change is a new release.
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections import Counter
 from collections.abc import Sequence
@@ -21,38 +20,23 @@ from rema_data.release.entries import BlockEntry, FileEntry, Parent, block_order
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, Manifest, parse_manifest
 from rema_data.schema import TASKS
-from rema_data.storage import storage_errors, sync_folder, write_atomic
+from rema_data.storage import file_sha256, storage_errors, sync_file, sync_folder, write_atomic
 from rema_data.store.block import BlockKey, BlockReader
 
-__all__ = ["Description", "describe_block", "file_sha256", "seal"]
+__all__ = ["Description", "describe_block", "seal"]
 
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """What people are told about a release.
-
-    Attributes
-    ----------
-    name, title, description, license, citation : str
-    sources : tuple of str
-        URLs of folders of releases.
-    published : str
-        Day of publication as YYYY-MM-DD, or empty.
-    """
+    """What a release says of itself."""
 
     name: str
     title: str
     description: str
     license: str
     citation: str
-    sources: tuple[str, ...] = ()
-    published: str = ""
-
-
-def file_sha256(path: Path) -> str:
-    """sha256 of a file, hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    sources: tuple[str, ...] = ()  # URLs of folders of releases
+    published: str = ""  # day of publication as YYYY-MM-DD, or empty
 
 
 def describe_block(folder: Path, key: BlockKey, holder: str) -> BlockEntry:
@@ -87,23 +71,9 @@ def seal(
 ) -> ReleaseFolder:
     """Turn a folder of blocks into the release ``root / about.name``.
 
-    Parameters
-    ----------
-    staging : Path
-        Holds the folders of ``keys``; on the same file system as ``root``. It is renamed.
-    root : Path
-        Folder of releases.
-    about : Description
-    keys : sequence of BlockKey
-        New blocks, in the order in which they are listed.
-    fingerprint : dict
-        Of the simulator.
-    plan_sha256 : str
-        Of the collection plan, where there was one.
-    parent : Manifest, optional
-        The release that this one continues.
-    reused : sequence of BlockKey
-        Blocks of ``parent`` that belong to this release too; they stay where they are.
+    ``staging`` holds the new blocks, ``keys``; it lies on the file system of ``root``, the folder of releases, and is
+    renamed. ``reused`` are blocks of ``parent``, the release that this one continues, that belong to this release too;
+    they stay where they are. ``fingerprint`` is the simulator's.
 
     Raises
     ------
@@ -132,13 +102,13 @@ def seal(
     draft = Manifest(
         **{item.name: getattr(about, item.name) for item in fields(about)},
         blocks=tuple(blocks),
-        files=tuple(_sorted(_entries(staging, about.name) + shared)),
+        files=_files(staging, about.name, shared),
         fingerprint=fingerprint,
         plan_sha256=plan_sha256,
         parent=None if parent is None else Parent(parent.name, parent.sha256),
     )
     write_card(staging, draft)
-    manifest = replace(draft, files=tuple(_sorted(_entries(staging, about.name) + shared)))
+    manifest = replace(draft, files=_files(staging, about.name, shared))
     data = manifest.to_bytes()
     parse_manifest(data, str(target / MANIFEST))
     write_atomic(staging / MANIFEST, data)
@@ -150,17 +120,14 @@ def seal(
     return ReleaseFolder(manifest, root)
 
 
-def _sorted(entries: Sequence[FileEntry]) -> list[FileEntry]:
-    return sorted(entries, key=lambda entry: entry.location)
-
-
-def _entries(staging: Path, holder: str) -> list[FileEntry]:
-    found = []
-    for path in sorted(staging.rglob("*")):
-        if path.is_file() and path != staging / MANIFEST:
-            name = path.relative_to(staging).as_posix()
-            found.append(FileEntry(name, path.stat().st_size, file_sha256(path), holder))
-    return found
+def _files(staging: Path, holder: str, shared: Sequence[FileEntry]) -> tuple[FileEntry, ...]:
+    """Entries of the files in ``staging`` and of the shared ones, in the manifest's order."""
+    paths = [path for path in staging.rglob("*") if path.is_file() and path != staging / MANIFEST]
+    own = [
+        FileEntry(path.relative_to(staging).as_posix(), path.stat().st_size, file_sha256(path), holder)
+        for path in paths
+    ]
+    return tuple(sorted((*own, *shared), key=lambda entry: entry.location))
 
 
 def _settle(folder: Path) -> None:
@@ -169,7 +136,6 @@ def _settle(folder: Path) -> None:
         if path.is_dir():
             sync_folder(path)
         else:
-            with path.open("rb") as file:
-                os.fsync(file.fileno())
+            sync_file(path)
             path.chmod(0o444)
     sync_folder(folder)

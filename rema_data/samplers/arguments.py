@@ -15,13 +15,7 @@ __all__ = ["one_of", "rank_and_world", "refuse_mixed_splits", "whole"]
 
 
 def rank_and_world(rank: int | None, world_size: int | None) -> tuple[int, int]:
-    """Rank and world size: as given, else of ``torch.distributed`` where it is in use, else 0 and 1.
-
-    Raises
-    ------
-    InputError
-        Only one of them is given, or the rank is outside of the world.
-    """
+    """Rank and world size: as given, else of ``torch.distributed`` where it is in use, else 0 and 1."""
     if rank is None and world_size is None:
         distributed = sys.modules.get("torch.distributed")  # a process that uses it has imported it
         if distributed is not None and distributed.is_available() and distributed.is_initialized():
@@ -46,7 +40,7 @@ def whole(name: str, value: Any, least: int) -> int:
 
 def one_of(name: str, value: Any, choices: Sequence[Any]) -> None:
     """Raise InputError where a value is not one of the choices."""
-    if not any(value is choice or (isinstance(choice, str) and value == choice) for choice in choices):
+    if value not in choices:
         raise InputError(f"{name}={value!r} is unknown", hint=f"use one of {', '.join(map(repr, choices))}")
 
 

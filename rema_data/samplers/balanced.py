@@ -15,7 +15,7 @@ from rema_data.samplers.epoch_state import Batch, ResumableOrder
 from rema_data.samplers.report import SamplerReport, make_report
 from rema_data.samplers.row_order import RowOrder, bits, shuffled, stream_key
 from rema_data.samplers.shares import uniform_shares
-from rema_data.samplers.strata import describe_label, stratify, table_of
+from rema_data.samplers.strata import label_text, stratify, table_of
 
 __all__ = ["BalancedSampler"]
 
@@ -124,8 +124,8 @@ class BalancedSampler(ResumableOrder):
         plan = ExactPlan(shares, self.global_batch)
         for number in np.flatnonzero(plan.shares == 0)[:1]:
             raise InputError(
-                f"{describe_label(self.strata.by, self.strata.labels[number])} has a share of {shares[number]:.2g}: "
-                f"too small for exact batches of {self.global_batch}",
+                f"the stratum {label_text(self.strata.by, self.strata.labels[number])} has a share of "
+                f"{shares[number]:.2g}: too small for exact batches of {self.global_batch}",
                 hint='use mode="average", or balance by columns of fewer values',
             )
         return plan
@@ -182,7 +182,7 @@ class BalancedSampler(ResumableOrder):
             "seed": self.seed,
             "strata": len(self.strata.labels),
             "dataset": self.fingerprint,
-            # what could once be chosen: states of that time go on
+            # former options: states that have them can still be loaded
             "target": "uniform",
             "replacement": "cycle",
             "rows of a shorter batch": 0,
@@ -197,7 +197,7 @@ class BalancedSampler(ResumableOrder):
         hint = "pass what state_dict() of a BalancedSampler returned, or start again without it"
         if not isinstance(state, dict) or state.get("version") != STATE_VERSION:
             version = state.get("version") if isinstance(state, dict) else None
-            raise InputError(f"no state of a sampler of version {STATE_VERSION} (got {version!r})", hint=hint)
+            raise InputError(f"not a state of a sampler of version {STATE_VERSION} (got {version!r})", hint=hint)
         there = state.get("settings")
         if not isinstance(there, dict):
             raise InputError("the state has no settings", hint=hint)
@@ -215,7 +215,7 @@ class BalancedSampler(ResumableOrder):
             case (int(epoch), int(batch), 0) if epoch >= 0 and 0 <= batch <= len(self):
                 pass
             case position:
-                raise InputError(f"epoch, batch, row = {position} is no position in {len(self)} batches", hint=hint)
+                raise InputError(f"epoch, batch, row = {position} is not a position in {len(self)} batches", hint=hint)
         if "anchor" in state:
             try:
                 self._plan.restore(state["anchor"], epoch * self._batches + batch)

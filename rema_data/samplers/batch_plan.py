@@ -22,7 +22,7 @@ Counts = npt.NDArray[np.int64]
 Anchor = tuple[int, list[int]]
 """A number of draws since the start of training, and how many of them each stratum had."""
 LONGEST_PERIOD = 4096
-"""Batches after which shares that are no simple fractions come out even."""
+"""Batches after which shares that are not simple fractions are met exactly."""
 REPLAY = 2**18
 """Draws of a lottery that are replayed at a time."""
 
@@ -51,12 +51,6 @@ class ExactPlan:
 
     A stratum with the share p gets the whole part of p times the batch in every batch; the draws that are left go to
     the strata that would first fall a whole draw behind. Counts repeat after ``period`` batches.
-
-    Parameters
-    ----------
-    shares : float64 (strata,)
-    batch : int
-        Draws in a batch.
     """
 
     def __init__(self, shares: Shares, batch: int) -> None:
@@ -105,15 +99,7 @@ class ExactPlan:
 
 
 class LotteryPlan:
-    """Every draw picks its stratum by itself, with the shares as probabilities: balance on average, as in the paper.
-
-    Parameters
-    ----------
-    shares : float64 (strata,)
-    batch : int
-        Draws in a batch.
-    key : Key
-    """
+    """Every draw picks its stratum by itself, with the shares as probabilities: balance on average, as in the paper."""
 
     def __init__(self, shares: Shares, batch: int, key: Key) -> None:
         self.shares = shares

@@ -1,7 +1,7 @@
 """Epochs, and the position in them: what makes an order of batches resumable.
 
-An iterator begins where the order stands when its first batch is asked for, not when ``iter`` is called: loaders call
-``iter`` more than once for one epoch. An epoch that was left in the middle is not resumed, except after
+An iterator begins at the position of the order when its first batch is asked for, not when ``iter`` is called: loaders
+call ``iter`` more than once for one epoch. An epoch that was left in the middle is not resumed, except after
 ``load_state_dict``: leaving a loop, or not calling ``set_epoch``, repeats no data.
 """
 
@@ -29,7 +29,7 @@ class ResumableOrder(ABC):
         self._epoch = 0
         self._step = 0  # batches handed out in this epoch
         self._started = 0  # step at which the current iterator began
-        self._resumed = False  # whether the next iterator goes on in the middle of the epoch
+        self._resumed = False  # whether the next iterator continues in the middle of the epoch
         self._current: EpochState | None = None
 
     @abstractmethod
@@ -64,7 +64,7 @@ class ResumableOrder(ABC):
     def set_epoch(self, epoch: int) -> None:
         """Start the next iterator with this epoch. Not needed: epochs advance by themselves.
 
-        Where a resumed order stands in the middle of the same epoch, it stays there.
+        An order that was resumed in the middle of the same epoch stays there.
         """
         if epoch < 0:
             raise InputError(f"epoch {epoch} is negative", hint="epochs count from 0")
@@ -72,24 +72,19 @@ class ResumableOrder(ABC):
             self._move(int(epoch), 0, resumed=True)
 
     def state_dict(self, consumed: int | None = None) -> dict[str, Any]:
-        """Where to go on.
+        """The position, as plain values for JSON or ``torch.save``.
 
         Parameters
         ----------
         consumed : int, optional
-            Batches that the training loop has taken from the current iterator. Needed with workers of torch's own
-            ``DataLoader``, which draws ahead; torchdata's ``StatefulDataLoader`` keeps count by itself. By default, all
-            that were handed out.
-
-        Returns
-        -------
-        dict
-            Of plain values: JSON and ``torch.save`` keep it.
+            Batches that the training loop has taken from the current iterator; by default all that were handed out.
+            Needed with workers of torch's own ``DataLoader``, which draws ahead; torchdata's ``StatefulDataLoader``
+            keeps count.
 
         Raises
         ------
         InputError
-            So many have not been handed out.
+            Fewer batches have been handed out.
         """
         step = self._step
         if consumed is not None:
@@ -102,7 +97,7 @@ class ResumableOrder(ABC):
         return self._pack(self._epoch, step)
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on where a state says, at a cost that does not grow with the position.
+        """Continue at the position of a state; the cost does not grow with the position.
 
         Raises
         ------
@@ -152,12 +147,12 @@ class EpochState(Iterator[Batch]):
         return batch
 
     def state_dict(self) -> dict[str, Any]:
-        """Where this iterator stands, or will begin."""
+        """The position of this iterator, or where it will begin."""
         begun = self._step >= 0
         return self._order._pack(*((self._epoch, self._step) if begun else self._order._next_start()))
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on exactly where the state says, also at the end of an epoch."""
+        """Continue exactly at the position of a state, also at the end of an epoch."""
         self._epoch, self._step = self._order._unpack(state)
         self._fetched, self._place = (), 0
         self._order._move(self._epoch, self._step, resumed=False, current=self)

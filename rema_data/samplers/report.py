@@ -19,50 +19,24 @@ _MOST_REPEATS = 20.0
 
 @dataclass(frozen=True, slots=True)
 class StratumReport:
-    """One stratum.
+    """One stratum."""
 
-    Attributes
-    ----------
-    stratum : str
-        ``task=grasp, success=True``.
-    rows : int
-    natural : float
-        Share of the rows.
-    target : float
-        Share of the draws.
-    draws : float
-        Expected number.
-    repeats : float
-        Draws of every row.
-    weight : float
-        Natural over target share: the importance weight that makes a loss unbiased again.
-    """
-
-    stratum: str
+    stratum: str  # ``task=grasp, success=True``
     rows: int
-    natural: float
-    target: float
-    draws: float
-    repeats: float
-    weight: float
+    natural: float  # share of the rows
+    target: float  # share of the draws
+    draws: float  # expected number
+    repeats: float  # draws of every row
+    weight: float  # natural over target share: the importance weight that makes a loss unbiased again
 
 
 @dataclass(frozen=True, slots=True)
 class SamplerReport:
-    """All strata; printing it gives a table.
-
-    Attributes
-    ----------
-    strata : tuple of StratumReport
-    draws : int
-        Over all ranks.
-    warnings : tuple of str
-        One for every stratum that is drawn more often than by nature, and whose rows repeat more than the limit.
-    """
+    """All strata; printing it gives a table."""
 
     strata: tuple[StratumReport, ...]
-    draws: int
-    warnings: tuple[str, ...]
+    draws: int  # over all ranks
+    warnings: tuple[str, ...]  # of strata that are drawn above their natural share, and whose rows repeat too often
 
     def to_frame(self) -> pd.DataFrame:
         """One row a stratum."""

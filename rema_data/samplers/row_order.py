@@ -55,11 +55,6 @@ class RowOrder:
     """The order in which the rows of one stratum are drawn: every row once, in a new order each round.
 
     The order of a round sorts its part of the stream, so reaching any draw costs one sort of the stratum.
-
-    Parameters
-    ----------
-    rows : int array
-    key : Key
     """
 
     def __init__(self, rows: Rows, key: Key) -> None:

@@ -31,22 +31,9 @@ def uniform_shares(strata: Strata) -> Shares:
 
 
 def as_fractions(shares: Shares, batch: int, period: int) -> tuple[npt.NDArray[np.int64], int]:
-    """Shares as whole numbers of draws in a period of whole batches.
+    """Shares as whole numbers of draws, int64 (strata,), in a period of at most ``period`` batches, and its length.
 
-    Parameters
-    ----------
-    shares : float64 (strata,)
-    batch : int
-        Draws in a batch.
-    period : int
-        Most batches in a period.
-
-    Returns
-    -------
-    draws : int64 (strata,)
-        In one period; zero for a share that is too small for the longest period.
-    batches : int
-        Length of the period: the shortest that is exact, where there is one, else ``period``.
+    The period is the shortest that is exact, or else the longest, in which a share that is too small becomes zero.
     """
     exact = [Fraction(share).limit_denominator(batch * period) for share in shares.tolist()]
     whole = math.lcm(*(share.denominator for share in exact))

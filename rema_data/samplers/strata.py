@@ -16,7 +16,7 @@ from rema_data.errors import InputError
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Label", "Strata", "column_of", "describe_label", "label_text", "stratify", "table_of"]
+__all__ = ["Label", "Strata", "column_of", "label_text", "stratify", "table_of"]
 
 Label = tuple[Any, ...]
 """Values of the columns that make a stratum, in their order."""
@@ -27,24 +27,12 @@ MOST_STRATA = 2**15 - 1
 
 @dataclass(frozen=True, eq=False)
 class Strata:
-    """The rows of a table, grouped.
+    """The rows of a table, grouped."""
 
-    Attributes
-    ----------
-    by : tuple of str
-        The columns.
-    labels : tuple of Label
-        Sorted; every stratum has at least one row.
-    rows : tuple of int arrays
-        Row numbers of every stratum, ascending.
-    codes : int array (rows of the table,)
-        Stratum of every row.
-    """
-
-    by: tuple[str, ...]
-    labels: tuple[Label, ...]
-    rows: tuple[Rows, ...]
-    codes: Rows
+    by: tuple[str, ...]  # the columns
+    labels: tuple[Label, ...]  # sorted; every stratum has at least one row
+    rows: tuple[Rows, ...]  # row numbers of every stratum, ascending
+    codes: Rows  # stratum of every row of the table
 
     @property
     def sizes(self) -> npt.NDArray[np.int64]:
@@ -59,13 +47,7 @@ class Strata:
 
 
 def table_of(source: Any) -> Any:
-    """The table of a dataset: its ``table``, or the DataFrame or mapping of columns itself.
-
-    Raises
-    ------
-    InputError
-        It is something else.
-    """
+    """The table of a dataset: its ``table``, or the DataFrame or mapping of columns itself; else InputError."""
     table = getattr(source, "table", source)
     if isinstance(table, Mapping) or hasattr(table, "columns"):
         return table
@@ -76,13 +58,7 @@ def table_of(source: Any) -> Any:
 
 
 def column_of(table: Any, name: str) -> pd.Series[Any]:
-    """A column of a table.
-
-    Raises
-    ------
-    InputError
-        There is no such column, or it is not one value a row.
-    """
+    """A column of a table; raises InputError where it is missing, or is not one value a row."""
     import pandas as pd
 
     names = list(table) if isinstance(table, Mapping) else [str(column) for column in table.columns]
@@ -102,26 +78,12 @@ def label_text(by: Sequence[str], label: Label) -> str:
     return ", ".join(f"{name}={value}" for name, value in zip(by, label, strict=True))
 
 
-def describe_label(by: Sequence[str], label: Label) -> str:
-    """A label in words, as errors call it."""
-    return f"the stratum {label_text(by, label)}"
-
-
 def stratify(table: Any, by: Sequence[str], on_empty: str = "raise") -> Strata:
-    """Group the rows of a table.
+    """Group the rows of a table by its columns ``by``.
 
-    Parameters
-    ----------
-    table : mapping or DataFrame
-    by : sequence of str
-        Columns. The strata are the combinations that occur of the columns that are not truth values, each with every
-        combination of those that are: what a table of successes lacks is failures, whether or not a row says so.
-    on_empty : {"raise", "renormalise"}
-        What to do about such a combination without a row.
-
-    Returns
-    -------
-    Strata
+    The strata are the combinations that occur of the columns that are not truth values, each with every combination of
+    those that are: a table of successes lacks failures, whether or not a row says so. ``on_empty`` says what to do
+    about a combination without a row: "raise", or "renormalise" to share its draws among the others.
 
     Raises
     ------
@@ -152,11 +114,11 @@ def stratify(table: Any, by: Sequence[str], on_empty: str = "raise") -> Strata:
     implied = _implied(counts.reshape(shape), [values for _, values in columns])
     empty = implied[counts[implied] == 0]
     if len(empty) and on_empty == "raise":
-        label = _label(int(empty[0]), columns, shape)
+        labels = tuple(label_text(by, _label(int(code), columns, shape)) for code in empty)
         raise InputError(
-            f"{describe_label(by, label)} has no rows" + (f" (and {len(empty) - 1} more)" if len(empty) > 1 else ""),
+            f"the stratum {labels[0]} has no rows" + (f" (and {len(labels) - 1} more)" if len(labels) > 1 else ""),
             hint='select other data, or pass on_empty="renormalise" to share its draws among its neighbours',
-            strata=tuple(label_text(by, _label(int(code), columns, shape)) for code in empty),
+            strata=labels,
         )
     kept = np.flatnonzero(counts)
     if len(kept) > MOST_STRATA:

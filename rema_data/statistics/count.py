@@ -6,7 +6,7 @@ An episode counts once at every step that it executed: it *reaches* the step, wh
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -20,33 +20,10 @@ from rema_data.store.block import BlockReader
 __all__ = ["Statistics", "StepCount", "TaskTotal", "count"]
 
 
-@dataclass(frozen=True, slots=True)
-class StepCount:
-    """One step of one block.
+class _Counted:
+    """What is counted of a step: the episodes that reached it, and those in which it succeeded."""
 
-    Attributes
-    ----------
-    round : int
-    task, split : str
-    step : int
-        Position in the task, from 0.
-    last : bool
-        The success of this step is the success of the task.
-    skill : str
-        The task whose last step is of this kind; a tool pick is a ``grasp``.
-    policy : str
-        Who acted at this step; several names are joined by ``+``.
-    reached, positives : int
-        Episodes that executed the step, and those in which it succeeded.
-    """
-
-    round: int
-    task: str
-    split: str
-    step: int
-    last: bool
-    skill: str
-    policy: str
+    __slots__ = ()
     reached: int
     positives: int
 
@@ -57,56 +34,45 @@ class StepCount:
 
 
 @dataclass(frozen=True, slots=True)
-class TaskTotal:
-    """One task over all rounds and splits that are on this machine.
+class StepCount(_Counted):
+    """One step of one block."""
 
-    Attributes
-    ----------
-    task : str
-    episodes : int
-    reached, positives : int
-        Of the last step.
-    executed : int
-        Steps of all positions.
-    """
+    round: int
+    task: str
+    split: str
+    step: int  # position in the task, from 0
+    last: bool  # its success is the success of the task
+    skill: str  # the task whose last step is of this kind; a tool pick is a ``grasp``
+    policy: str  # of this step; several names are joined by ``+``
+    reached: int  # episodes that executed the step
+    positives: int  # those in which it succeeded
+
+
+@dataclass(frozen=True, slots=True)
+class TaskTotal(_Counted):
+    """One task over all rounds and splits that are on this machine."""
 
     task: str
     episodes: int
-    reached: int
+    reached: int  # last steps that were executed
     positives: int
-    executed: int
-
-    @property
-    def negatives(self) -> int:
-        """Last steps that failed."""
-        return self.reached - self.positives
+    executed: int  # steps of all positions
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """What a release holds.
-
-    Attributes
-    ----------
-    release, sha256 : str
-        Name and identity.
-    steps : tuple of StepCount
-        Of the blocks that are on this machine, in the order of the manifest.
-    missing : tuple of BlockEntry
-        Blocks that are not: the manifest knows their episodes, but not how many reached which step.
-    fix : str
-        What brings the missing blocks; empty where there are none.
-    """
+    """What a release holds."""
 
     release: str
     sha256: str
-    steps: tuple[StepCount, ...]
-    missing: tuple[BlockEntry, ...]
-    fix: str = ""
+    steps: tuple[StepCount, ...]  # of the blocks that are on this machine, in the order of the manifest
+    missing: tuple[BlockEntry, ...]  # blocks that are not, whose steps are not known
+    fix: str = ""  # the command that brings the missing blocks; empty where there are none
 
     def totals(self) -> tuple[TaskTotal, ...]:
         """Sums by task, in the order of ``TASKS``."""
-        return tuple(_total(task, rows) for task, rows in _by_task(self.steps).items())
+        by_task = {task: [row for row in self.steps if row.task == task] for task in TASKS}
+        return tuple(_total(task, rows) for task, rows in by_task.items() if rows)
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain dictionaries and numbers, ready for JSON."""
@@ -117,13 +83,6 @@ class Statistics:
             "tasks": [asdict(row) | {"negatives": row.negatives} for row in self.totals()],
             "missing": [asdict(block) for block in self.missing],
         }
-
-
-def _by_task(steps: Iterable[StepCount]) -> Mapping[str, list[StepCount]]:
-    grouped: dict[str, list[StepCount]] = {task: [] for task in TASKS}
-    for row in steps:
-        grouped[row.task].append(row)
-    return {task: rows for task, rows in grouped.items() if rows}
 
 
 def _total(task: str, rows: list[StepCount]) -> TaskTotal:

@@ -39,44 +39,22 @@ class Counts:
 
 @dataclass(frozen=True, slots=True)
 class PaperRow:
-    """One line of the comparison.
+    """One line of the comparison."""
 
-    Attributes
-    ----------
-    name : str
-        A task, or what else is counted.
-    paper, ours : Counts or None
-        None where there is nothing to compare with.
-    """
-
-    name: str
-    paper: Counts | None
+    name: str  # a task, or what else is counted
+    paper: Counts | None  # None where there is nothing to compare with
     ours: Counts | None
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Table 2 beside a release.
+    """Table 2 beside a release."""
 
-    Attributes
-    ----------
-    tasks : tuple of PaperRow
-        Last steps: the rows of a task.
-    total : PaperRow
-        Their sum.
-    earlier : tuple of PaperRow
-        Steps before the last one, by skill: tool picks (grasps) and tool pinches.
-    executed : PaperRow
-        Every step that was executed: the two sums together.
-    remarks : tuple of str
-        Why the paper's rows are neither episodes nor steps.
-    """
-
-    tasks: tuple[PaperRow, ...]
-    total: PaperRow
-    earlier: tuple[PaperRow, ...]
-    executed: PaperRow
-    remarks: tuple[str, ...]
+    tasks: tuple[PaperRow, ...]  # last steps: the rows of a task
+    total: PaperRow  # their sum
+    earlier: tuple[PaperRow, ...]  # steps before the last one, by skill: tool picks (grasps) and tool pinches
+    executed: PaperRow  # every executed step: the two sums
+    remarks: tuple[str, ...]  # why the paper's rows are neither episodes nor steps
 
     def to_dict(self) -> dict[str, Any]:
         """Ready for JSON."""

@@ -13,7 +13,6 @@ import numpy as np
 
 from rema_data.errors import InputError
 from rema_data.repair import install
-from rema_data.schema import TASKS
 from rema_data.statistics.count import Statistics
 from rema_data.statistics.paper import Counts, published_counts
 from rema_data.storage import write_atomic
@@ -27,24 +26,15 @@ _POSITIVE, _NEGATIVE, _INK = "#1a7f37", "#c9ccd1", "#1f2328"
 
 
 def accumulated(statistics: Statistics) -> dict[str, dict[int, tuple[int, int]]]:
-    """Positives and negatives of the last steps of every task, up to and including every round of the release.
-
-    Returns
-    -------
-    dict of str to dict of int to (int, int)
-        By task and round.
-    """
+    """Positives and negatives of the last steps of every task, up to every round of the release, by task and round."""
     rounds = sorted({row.round for row in statistics.steps})
-    tasks = [task for task in TASKS if any(row.task == task for row in statistics.steps)]
     sums: dict[str, dict[int, tuple[int, int]]] = {}
-    for task in tasks:
-        last = [row for row in statistics.steps if row.task == task and row.last]
-        sums[task] = {
-            number: (
-                sum(row.positives for row in last if row.round <= number),
-                sum(row.negatives for row in last if row.round <= number),
-            )
-            for number in rounds
+    for total in statistics.totals():
+        last = [row for row in statistics.steps if row.task == total.task and row.last]
+        kept = {number: [row for row in last if row.round <= number] for number in rounds}
+        sums[total.task] = {
+            number: (sum(row.positives for row in rows), sum(row.negatives for row in rows))
+            for number, rows in kept.items()
         }
     return sums
 

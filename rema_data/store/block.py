@@ -28,7 +28,7 @@ from rema_data.schema import Episode, Observation
 from rema_data.storage import write_atomic
 from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS
 from rema_data.store.keys import SPLITS, BlockKey
-from rema_data.store.maps import MapsReader, MapsWriter
+from rema_data.store.maps import ARRAYS, MapsReader, MapsWriter
 from rema_data.store.tables import (
     as_stored,
     episode_row,
@@ -37,6 +37,7 @@ from rema_data.store.tables import (
     step_row,
     steps_table,
     to_parquet,
+    with_column,
 )
 
 __all__ = ["EPISODES", "SPLITS", "STEPS", "BlockKey", "BlockReader", "BlockWriter", "EncodedMaps", "encode_episodes"]
@@ -47,45 +48,34 @@ Array = npt.NDArray[Any]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EncodedMaps:
-    """Maps of some steps as they are stored.
+    """Maps of some steps as they are stored."""
 
-    Attributes
-    ----------
-    scene : uint16 (N, 64, 64)
-    ee_row : int32 (N,)
-        Row of every step's end-effector map in the two arrays below.
-    ee_depth : uint16 (M, 2, 112, 112)
-    ee_mask : uint8 (M, 2, 112, 14)
-    """
-
-    scene: Array
-    ee_row: Array
-    ee_depth: Array
-    ee_mask: Array
-
-
-def _stacked(maps: Sequence[Array], like: tuple[int, ...], dtype: str) -> Array:
-    return np.stack(maps) if maps else np.empty((0, *like), dtype)
+    scene: Array  # uint16 (N, 64, 64)
+    ee_row: Array  # int32 (N,): row of every step's end-effector map in the two arrays below
+    ee_depth: Array  # uint16 (M, 2, 112, 112)
+    ee_mask: Array  # uint8 (M, 2, 112, 14)
 
 
 def encode_maps(observations: Sequence[Observation]) -> EncodedMaps:
     """Observations as stored maps, equal end-effector maps once."""
-    rows: list[int] = []
     known: dict[bytes, int] = {}
-    depths: list[Array] = []
-    masks: list[Array] = []
+    rows: list[int] = []
+    kept: list[Observation] = []
     for seen in observations:
         digest = hashlib.sha256(seen.depth.tobytes() + np.packbits(seen.mask).tobytes()).digest()
-        if digest not in known:
-            known[digest] = len(depths)
-            depths.append(encode_heights(seen.depth))
-            masks.append(pack_mask(seen.mask))
-        rows.append(known[digest])
+        rows.append(known.setdefault(digest, len(kept)))
+        if rows[-1] == len(kept):
+            kept.append(seen)
+
+    def stacked(maps: list[Array], name: str) -> Array:
+        form = ARRAYS[name]
+        return np.stack(maps) if maps else np.empty((0, *form.row), form.dtype)
+
     return EncodedMaps(
-        _stacked([encode_heights(seen.scene) for seen in observations], (64, 64), "uint16"),
+        stacked([encode_heights(seen.scene) for seen in observations], "scene"),
         np.array(rows, np.int32),
-        _stacked(depths, (2, 112, 112), "uint16"),
-        _stacked(masks, (2, 112, 14), "uint8"),
+        stacked([encode_heights(seen.depth) for seen in kept], "ee_depth"),
+        stacked([pack_mask(seen.mask) for seen in kept], "ee_mask"),
     )
 
 
@@ -103,18 +93,7 @@ def encode_episodes(episodes: Sequence[Episode]) -> tuple[pa.Table, pa.Table, En
 
 
 class BlockWriter:
-    """Writes a block from pieces, in order; the bytes do not depend on how it was cut.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the block, empty or not there.
-
-    Raises
-    ------
-    StorageError
-        From any method: the disk is full or may not be written.
-    """
+    """Writes a block into an empty or new folder, in order; its bytes do not depend on how the calls divide it."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -139,8 +118,8 @@ class BlockWriter:
         self._maps.append("ee_mask", maps.ee_mask[new])
         scene_row = np.arange(self._step_count, self._step_count + len(maps.scene), dtype=np.int32)
         first = episodes.column("first_step").to_numpy() + np.int32(self._step_count)
-        self._episodes.append(_replaced(episodes, "first_step", first))
-        self._steps.append(_replaced(_replaced(steps, "scene_row", scene_row), "ee_row", target[maps.ee_row]))
+        self._episodes.append(with_column(episodes, "first_step", first))
+        self._steps.append(with_column(with_column(steps, "scene_row", scene_row), "ee_row", target[maps.ee_row]))
         self._step_count += len(maps.scene)
 
     def close(self) -> None:
@@ -154,21 +133,8 @@ class BlockWriter:
             write_atomic(self._folder / name, to_parquet(as_stored(whole, columns)))
 
 
-def _replaced(table: pa.Table, name: str, values: Array) -> pa.Table:
-    position = table.schema.get_field_index(name)
-    field = table.schema.field(position)
-    return table.set_column(position, field, pa.array(values, field.type))
-
-
 class BlockReader:
-    """Reads a block.
-
-    Parameters
-    ----------
-    folder : Path
-    repair_hint : callable
-        Hint of an error about a path in it: what brings the file back.
-    """
+    """Reads a block; ``repair_hint`` gives the hint of an error about a path in it."""
 
     def __init__(self, folder: Path, repair_hint: RepairHint = ask_verify) -> None:
         self.folder = folder

@@ -25,33 +25,16 @@ __all__ = ["EPISODE_COLUMNS", "STEP_COLUMNS", "Column", "arrow_schema", "check_v
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column of a table.
-
-    Attributes
-    ----------
-    name : str
-    type : str
-        Arrow type.
-    meaning : str
-    unit : str
-        ``m``, ``rad``, ``N``, or empty.
-    frame : str
-        ``world``, ``hand`` or ``pair`` for a pose; else empty. Frames are defined in ``rema_data.schema``.
-    nullable : bool
-    since : int
-        Schema version that introduced it; above 1 the column is nullable.
-    default : str, float, int, bool or None
-        Its value in the rows of earlier versions.
-    """
+    """One column of a table."""
 
     name: str
-    type: str
+    type: str  # Arrow type
     meaning: str
-    unit: str = ""
-    frame: str = ""
+    unit: str = ""  # m, rad, N, or empty
+    frame: str = ""  # world, hand or pair for a pose (see ``rema_data.schema``); else empty
     nullable: bool = False
-    since: int = 1
-    default: str | float | bool | None = None
+    since: int = 1  # schema version that introduced it; above 1 the column is nullable
+    default: str | float | bool | None = None  # its value in the rows of earlier versions
 
 
 def _spec(prefix: str, what: str, nullable: bool) -> Iterator[Column]:
@@ -159,20 +142,7 @@ def arrow_schema(columns: tuple[Column, ...], version: int = SCHEMA_VERSION) -> 
 
 
 def check_version(version: Any, where: str) -> int:
-    """A schema version that this rema reads.
-
-    Parameters
-    ----------
-    version : object
-        As a file states it.
-    where : str
-        The file, for messages.
-
-    Raises
-    ------
-    InputError
-        It is newer, or not a version.
-    """
+    """The schema version that the file ``where`` states; raises InputError where this rema cannot read it."""
     if isinstance(version, np.integer):
         version = int(version)
     if isinstance(version, int) and not isinstance(version, bool) and 1 <= version <= SCHEMA_VERSION:

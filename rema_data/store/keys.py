@@ -26,17 +26,11 @@ class BlockKey(NamedTuple):
 
     @classmethod
     def parse(cls, path: str) -> BlockKey:
-        """Inverse of ``path``.
-
-        Raises
-        ------
-        InputError
-            It names no block.
-        """
+        """Inverse of ``path``; raises InputError where it does not name a block."""
         head, _, rest = path.partition("/")
         task, _, split = rest.partition("/")
         number = head.removeprefix("round-")
         key = cls(int(number), task, split) if number.isdecimal() and number.isascii() else None
         if key is None or key.path != path or task not in TASKS or split not in SPLITS or key.round < 1:
-            raise InputError(f"{path!r} names no block", hint="write it as round-1/grasp/train", path=path)
+            raise InputError(f"{path!r} is not the name of a block", hint="write it as round-1/grasp/train", path=path)
         return key

@@ -44,24 +44,13 @@ _MASK_HOLE = 255
 
 @dataclass(frozen=True, slots=True)
 class ArrayFormat:
-    """How one array is stored.
-
-    Attributes
-    ----------
-    dtype : str
-    row : tuple of int
-        Shape of one row.
-    chunk_rows, shard_rows : int
-        Rows of an inner chunk (the unit of reading) and of a shard (a file).
-    fill : int
-        What a lost chunk reads as.
-    """
+    """How one array is stored."""
 
     dtype: str
-    row: tuple[int, ...]
-    chunk_rows: int
-    shard_rows: int
-    fill: int
+    row: tuple[int, ...]  # shape of one row
+    chunk_rows: int  # rows of an inner chunk: the unit of reading
+    shard_rows: int  # rows of a shard: a file
+    fill: int  # what a lost chunk reads as
 
 
 ARRAYS: dict[str, ArrayFormat] = {
@@ -130,18 +119,7 @@ class _Buffered:
 
 
 class MapsWriter:
-    """Writes ``maps.zarr`` of a block, appending in order.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the block. It must not hold maps yet.
-
-    Raises
-    ------
-    StorageError
-        From any method: the disk is full or may not be written.
-    """
+    """Writes ``maps.zarr`` into a block that has none, in order. Every method raises StorageError on a full disk."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / MAPS
@@ -165,19 +143,12 @@ class MapsWriter:
 class MapsReader:
     """Reads stored rows of a block's maps. For training use ``rema_data.load``: it decodes once.
 
-    Parameters
-    ----------
-    folder : Path
-        Of the block.
-    repair_hint : callable
-        Hint of an error about a path in it.
+    ``repair_hint`` gives the hint of an error about a path in the block.
 
     Raises
     ------
-    MissingFileError
-        There are no maps.
-    IntegrityError
-        Their metadata are damaged.
+    MissingFileError, IntegrityError
+        There are no maps, or their metadata are damaged.
     """
 
     def __init__(self, folder: Path, repair_hint: RepairHint = ask_verify) -> None:
@@ -206,13 +177,7 @@ class MapsReader:
         return int(self._arrays[name].shape[0])
 
     def read(self, name: str, start: int, stop: int) -> npt.NDArray[Any]:
-        """Stored rows ``start`` to ``stop`` of an array.
-
-        Raises
-        ------
-        IntegrityError
-            A chunk is lost or damaged.
-        """
+        """Stored rows ``start`` to ``stop`` of an array; raises IntegrityError where a chunk is lost or damaged."""
         array = self._arrays[name]
         try:
             rows: npt.NDArray[Any] = np.asarray(array[start:stop])

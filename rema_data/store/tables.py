@@ -43,6 +43,7 @@ __all__ = [
     "steps_table",
     "table_version",
     "to_parquet",
+    "with_column",
 ]
 
 _SPEC = tuple(field.name for field in dataclasses.fields(ObjectSpec))
@@ -127,7 +128,7 @@ def situation_of(row: Mapping[str, Any]) -> Situation:
 
 
 def outcome_of(row: Mapping[str, Any]) -> StepOutcome:
-    """What came of the step of a row. What it left in the hand stands in the row of the next step."""
+    """The outcome of the step of a row. What it left in the hand is stored with the next step."""
     failure = None if row["failure"] is None else Failure(row["failure"])
     return StepOutcome(bool(row["success"]), failure, **{name: row[name] for name in EVIDENCE})
 
@@ -176,6 +177,13 @@ def as_stored(table: pa.Table, columns: tuple[Column, ...]) -> pa.Table:
     return table.select([column.name for column in columns_at(columns, table_version(table))])
 
 
+def with_column(table: pa.Table, name: str, values: Any) -> pa.Table:
+    """A table with other values in one of its columns."""
+    position = table.schema.get_field_index(name)
+    field = table.schema.field(position)
+    return table.set_column(position, field, pa.array(values, field.type))
+
+
 def to_parquet(table: pa.Table) -> bytes:
     """A table as Parquet bytes with page checksums, every writer option fixed."""
     buffer = io.BytesIO()
@@ -187,7 +195,7 @@ def to_parquet(table: pa.Table) -> bytes:
         compression_level=9,
         row_group_size=max(1, table.num_rows),
         data_page_size=1 << 20,
-        # Continuous numbers hardly repeat, a block is read whole, and what a column means stands in the card.
+        # Continuous numbers hardly repeat, a block is read whole, and the card says what a column means.
         use_dictionary=[field.name for field in table.schema if field.type != pa.float64()],
         write_statistics=False,
         write_page_checksum=True,
@@ -197,21 +205,21 @@ def to_parquet(table: pa.Table) -> bytes:
 
 
 def read_table(path: Path, columns: tuple[Column, ...], repair_hint: RepairHint = ask_verify) -> pa.Table:
-    """A table of a block, checked against its schema; ``repair_hint`` gives the hint about a damaged or missing one.
+    """A table of a block with all ``columns``, checked; those that are newer than the file hold their default.
 
-    It has all ``columns``: those that are newer than the table hold their default. ``table_version`` still gives the
-    version in which it is stored.
+    ``table_version`` still gives the version in which it is stored. ``repair_hint`` gives the hint about a damaged
+    file.
 
     Raises
     ------
     MissingFileError
-        It is not there.
+        It does not exist.
     IntegrityError
         It is not a whole Parquet file, or has columns of no schema version that this rema knows.
     """
     try:
         table = pq.read_table(path, page_checksum_verification=True)
-        found = table.schema.names  # decoded here: damaged names are no text
+        found = table.schema.names  # decoded here: damaged names are not text
     except FileNotFoundError:
         raise MissingFileError(f"table {path} does not exist", hint=repair_hint(path), path=str(path)) from None
     except (pa.ArrowException, ValueError, OSError) as error:

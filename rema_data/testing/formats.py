@@ -88,7 +88,7 @@ class FormatContract:
         return shutil.copytree(exported, tmp_path / "export")
 
     def _refused(self, sources: Sequence[Path], folder: Path, kind: type[RemaError]) -> RemaError:
-        """The error of an import, which says how to go on and leaves nothing behind."""
+        """The error of an import, which has a hint and leaves nothing behind."""
         with pytest.raises(kind) as caught:
             import_release(sources, folder, format=self.format)
         assert caught.value.hint

@@ -105,22 +105,10 @@ def make_release(
     parent: Manifest | None = None,
     reused: Sequence[BlockKey] = (),
 ) -> ReleaseFolder:
-    """Seal a synthetic release below ``root``: ``episodes`` for training and a fifth of it for validation in a block.
+    """Seal a synthetic release below ``root``, the folder of releases.
 
-    Parameters
-    ----------
-    root : Path
-        Folder of releases.
-    name : str
-    tasks : sequence of str
-    rounds : iterable of int
-    episodes : int
-        In each training block.
-    seed : int
-    success : float
-        Probability that a last step succeeds.
-    parent, reused
-        As in ``rema_data.release.seal.seal``.
+    A block has ``episodes`` for training, or a fifth of it for validation; last steps succeed with the probability
+    ``success``. ``parent`` and ``reused`` are those of ``rema_data.release.seal.seal``.
     """
     staging = root / f".{name}.staging"
     counts = {"train": episodes, "val": max(1, episodes // 5)}

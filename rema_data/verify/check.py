@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import partial
 
 import pyarrow as pa
 
@@ -24,7 +24,7 @@ from rema_data.verify.tables import check_tables
 __all__ = ["verify"]
 
 _UNREADABLE = (RemaError, pa.ArrowException, ValueError, KeyError, OSError)
-"""What reading a table can raise on bytes that are no table."""
+"""What reading a table can raise on bytes that are not a table."""
 
 
 def verify(
@@ -34,16 +34,10 @@ def verify(
     split: str | None = None,
     progress: Progress | None = None,
 ) -> Report:
-    """Check every byte and every invariant of a release, or of some of its blocks.
+    """Check every byte and every invariant of a release, or of some ``tasks``, ``rounds`` or one ``split``.
 
-    What a file says is checked where its bytes are the sealed ones; else the file is to be fetched again first.
-
-    Parameters
-    ----------
-    release : ReleaseFolder
-    tasks, rounds, split : optional
-        Only these; by default everything, of a downloaded release everything that has been fetched.
-    progress : Progress, optional
+    By default everything, of a downloaded release everything that has been fetched. What a file says is checked where
+    its bytes are the sealed ones; else the file is to be fetched again first.
 
     Raises
     ------
@@ -65,13 +59,10 @@ class _Verification:
     findings: Findings = field(default_factory=Findings)
     scenes: Scenes = field(default_factory=Scenes)
     unread: list[str] = field(default_factory=list)
-
-    @cached_property
-    def fix(self) -> str:
-        """Of contents whose bytes are the sealed ones."""
-        return self.release.repair.contents
+    fix: str = ""
 
     def run(self) -> Report:
+        self.fix = self.release.repair.contents  # of contents whose bytes are the sealed ones
         entries = self.release.manifest.files_of(self.blocks)
         damaged = check_manifest(self.release, self.findings)
         damaged |= check_files(self.release, entries, self.findings, self.progress)

@@ -13,10 +13,9 @@ from rema_data.progress import Progress
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, BlockEntry, FileEntry
 from rema_data.release.registry import published
-from rema_data.release.seal import file_sha256
 from rema_data.repair import delete
 from rema_data.schema import TASKS
-from rema_data.storage import write_atomic
+from rema_data.storage import file_sha256, write_atomic
 from rema_data.verify.findings import Findings, Report
 
 __all__ = ["absent_blocks", "check_files", "check_manifest", "check_unexpected", "repair"]
@@ -25,14 +24,11 @@ __all__ = ["absent_blocks", "check_files", "check_manifest", "check_unexpected",
 def check_manifest(release: ReleaseFolder, findings: Findings) -> set[str]:
     """Compare the manifest with the index of published releases, and the copy beside the data with it.
 
-    Returns
-    -------
-    set of str
-        Location of the copy, where it is damaged.
+    Returns the location of the copy where it is damaged.
     """
     manifest, copy = release.manifest, release.path / MANIFEST
     location = f"{manifest.name}/{MANIFEST}"
-    known = {entry.name: entry.sha256 for entry in published()}.get(manifest.name)
+    known = published().get(manifest.name)
     if known is not None and known != manifest.sha256:
         findings.add(
             "manifest",
@@ -68,13 +64,7 @@ def absent_blocks(release: ReleaseFolder, blocks: Sequence[BlockEntry]) -> tuple
 def check_files(
     release: ReleaseFolder, entries: Sequence[FileEntry], findings: Findings, progress: Progress
 ) -> set[str]:
-    """Check presence, size and sha256 of files.
-
-    Returns
-    -------
-    set of str
-        Locations of the files that are not what the manifest names.
-    """
+    """Check presence, size and sha256 of files; the locations of those that are damaged."""
     damaged, fixes = set(), release.repair
     progress.phase("files", len(entries))
     for entry in entries:
@@ -112,22 +102,14 @@ def check_unexpected(release: ReleaseFolder, findings: Findings) -> None:
 
 
 def repair(release: ReleaseFolder, report: Report, sources: Sequence[str | os.PathLike[str]] = ()) -> None:
-    """Fetch the damaged files of a downloaded release again. Each one stays until its replacement is here.
-
-    Parameters
-    ----------
-    release : ReleaseFolder
-    report : Report
-        Of its verification.
-    sources : sequence of str or path
-        Folders of releases that are asked first, as in ``rema_data.download.download``.
+    """Fetch the damaged files of a downloaded release again, with ``sources`` asked first, as in ``download``.
 
     Raises
     ------
     InputError
-        The release has not been downloaded: its files are somebody's originals.
+        The release was not downloaded: nothing in it is changed.
     RemaError
-        See ``rema_data.download.fetch.fetch_again``.
+        As ``download`` does.
     """
     if not release.downloaded:
         raise InputError(

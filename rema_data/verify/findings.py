@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["LISTED_OF_A_KIND", "Finding", "Findings", "Report", "rows_of"]
+__all__ = ["LISTED_OF_A_KIND", "Add", "Finding", "Findings", "Report", "rows_of"]
+
+Add = Callable[[str, str, str, str], None]
+"""Reports something in a block: kind, file inside the block, place in it, and detail."""
 
 LISTED_OF_A_KIND = 20
 """So many findings of one kind are listed; further ones are counted."""
@@ -22,25 +25,15 @@ _NAMED = 5
 class Finding:
     """One thing that is wrong.
 
-    Attributes
-    ----------
-    kind : str
-        What sort of thing: ``manifest``, ``missing``, ``size``, ``sha256``, ``unexpected``, ``table``, ``maps``,
-        ``counts``, ``episodes``, ``labels``, ``actions``, ``numbers``, ``tools``, ``rows``, ``place``, ``leakage``.
-    file : str
-        Path of the file.
-    where : str
-        Place in it: rows, or empty for the whole file.
-    detail : str
-    fix : str
-        The command or the edit that fixes it.
+    Its kind is ``manifest``, ``missing``, ``size``, ``sha256``, ``unexpected``, ``table``, ``maps``, ``counts``,
+    ``episodes``, ``labels``, ``actions``, ``numbers``, ``tools``, ``rows``, ``place`` or ``leakage``.
     """
 
     kind: str
-    file: str
-    where: str
+    file: str  # path of the file
+    where: str  # place in it: rows, or empty for the whole file
     detail: str
-    fix: str
+    fix: str  # the command or the edit that fixes it
 
 
 @dataclass
@@ -59,34 +52,17 @@ class Findings:
 
 @dataclass(frozen=True)
 class Report:
-    """The result of a verification.
-
-    Attributes
-    ----------
-    release, sha256, root : str
-        Name, identity, and the folder of releases in which it lies.
-    findings : sequence of Finding
-    counts : dict of str to int
-        Findings by kind, those that are not listed included.
-    checked : dict of str to int
-        How much was looked at: blocks, files, bytes, episodes, steps, maps, frozen scenarios.
-    absent : sequence of str
-        Blocks that have not been downloaded, and were not asked for.
-    unread : sequence of str
-        Blocks whose contents could not be checked fully because of damaged files.
-    damaged : sequence of str
-        Locations of files that are there, or should be, and do not have the bytes that were sealed.
-    """
+    """The result of a verification."""
 
     release: str
     sha256: str
-    root: str
+    root: str  # the folder of releases in which it lies
     findings: Sequence[Finding]
-    counts: dict[str, int]
-    checked: dict[str, int]
-    absent: Sequence[str] = ()
-    unread: Sequence[str] = ()
-    damaged: Sequence[str] = ()
+    counts: dict[str, int]  # findings by kind, those that are not listed included
+    checked: dict[str, int]  # how much was checked: blocks, files, bytes, episodes, steps, maps, frozen scenarios
+    absent: Sequence[str] = ()  # blocks that have not been downloaded, and were not asked for
+    unread: Sequence[str] = ()  # blocks whose contents could not be checked fully because of damaged files
+    damaged: Sequence[str] = ()  # locations of files that do not have the bytes that were sealed
 
     @property
     def ok(self) -> bool:

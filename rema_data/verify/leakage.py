@@ -26,14 +26,7 @@ Keys = Sequence[bytes]
 
 
 def scene_keys(table: pa.Table, prefix: str) -> Keys:
-    """Object and pose of every row as bytes that are equal where all numbers are.
-
-    Parameters
-    ----------
-    table : Table
-        With the columns ``{prefix}_shape``, ``{prefix}_length_m`` and so on.
-    prefix : str
-    """
+    """Object and pose in the columns ``{prefix}_...`` of every row, as bytes that are equal where all numbers are."""
     numbers = np.empty((table.num_rows, 1 + len(_COLUMNS)))
     shape = pc.index_in(table[f"{prefix}_shape"], value_set=pa.array(_SHAPES))
     numbers[:, 0] = pc.fill_null(shape, -1).to_numpy()
@@ -56,12 +49,7 @@ class Scenes:
     def check(self, frozen: Mapping[bytes, str], report: Callable[[str, str, str], None]) -> None:
         """Look for scenes of the training split in the validation split, and for frozen scenarios in both.
 
-        Parameters
-        ----------
-        frozen : dict of bytes to str
-            Name of every frozen scenario by its key.
-        report : callable
-            Called with file, place in it, and detail.
+        ``frozen`` has the name of every frozen scenario by its key; ``report`` takes file, place in it, and detail.
         """
         trained: dict[bytes, tuple[str, int]] = {}
         for file, (split, keys) in self.blocks.items():
@@ -91,13 +79,7 @@ def frozen_lists(folder: Path) -> list[Path]:
 
 
 def read_frozen(path: Path) -> dict[bytes, str]:
-    """Scenes of all steps of a frozen list, each with the name of its scenario: ``VERSION/TASK/SPLIT/INDEX``.
-
-    Raises
-    ------
-    IntegrityError
-        It cannot be read.
-    """
+    """Scenes of all steps of a frozen list, each with its name: ``VERSION/TASK/SPLIT/INDEX``. Or IntegrityError."""
     try:
         return _scenes_of(path, pq.read_table(path))
     except (pa.ArrowException, ValueError, KeyError, OSError) as error:

@@ -14,34 +14,20 @@ import numpy.typing as npt
 from rema_data.errors import IntegrityError
 from rema_data.heights import MISSING
 from rema_data.store.maps import ARRAYS, MAPS, MapsReader
-from rema_data.verify.findings import rows_of
+from rema_data.verify.findings import Add, rows_of
 
-__all__ = ["MapsReport", "check_group", "check_maps"]
+__all__ = ["check_group", "check_maps"]
 
 _HIGHEST = np.iinfo(np.int16).max
 """Highest stored height that the decoded form can hold."""
-MapsReport = Callable[[str, str, str, str], None]
-"""Called with kind, file inside the block, place in it, and detail."""
 
 
 def check_maps(
-    reader: MapsReader, names: Collection[str], report: MapsReport, advance: Callable[[int], None]
+    reader: MapsReader, names: Collection[str], report: Add, advance: Callable[[int], None]
 ) -> dict[str, int]:
-    """Check arrays of a block.
+    """Check the arrays ``names`` of a block, whose files are whole; the rows of every array that was checked.
 
-    Parameters
-    ----------
-    reader : MapsReader
-    names : collection of str
-        Arrays whose files are whole; the others are left out.
-    report : callable
-    advance : callable
-        Called with the number of rows done.
-
-    Returns
-    -------
-    dict of str to int
-        Rows of every array that was checked.
+    ``advance`` is called with the number of rows done.
     """
     known: dict[bytes, int] = {}
     for name in sorted(names):
@@ -55,7 +41,7 @@ def check_maps(
     return {name: reader.rows(name) for name in names}
 
 
-def check_group(folder: Path, report: MapsReport) -> None:
+def check_group(folder: Path, report: Add) -> None:
     """Check the group that holds the arrays of the block in ``folder``: other readers of Zarr begin there."""
     try:
         content = json.loads((folder / MAPS / "zarr.json").read_bytes())
@@ -63,7 +49,7 @@ def check_group(folder: Path, report: MapsReport) -> None:
     except (OSError, ValueError, KeyError, TypeError):
         good = False
     if not good:
-        report("maps", f"{MAPS}/zarr.json", "", "it describes no group of Zarr version 3")
+        report("maps", f"{MAPS}/zarr.json", "", "it does not describe a group of Zarr version 3")
 
 
 def _shard(name: str, row: int) -> str:
@@ -72,7 +58,7 @@ def _shard(name: str, row: int) -> str:
     return "/".join((MAPS, name, "c", str(row // form.shard_rows), *("0" for _ in form.row)))
 
 
-def _read(reader: MapsReader, name: str, start: int, stop: int, report: MapsReport) -> npt.NDArray[Any] | None:
+def _read(reader: MapsReader, name: str, start: int, stop: int, report: Add) -> npt.NDArray[Any] | None:
     try:
         return reader.read(name, start, stop)
     except IntegrityError as error:
@@ -80,7 +66,7 @@ def _read(reader: MapsReader, name: str, start: int, stop: int, report: MapsRepo
         return None
 
 
-def _check_heights(name: str, start: int, rows: npt.NDArray[Any], report: MapsReport) -> None:
+def _check_heights(name: str, start: int, rows: npt.NDArray[Any], report: Add) -> None:
     if not len(rows) or rows.max() <= _HIGHEST:
         return
     tops = rows.reshape(len(rows), -1).max(axis=1)
@@ -90,7 +76,7 @@ def _check_heights(name: str, start: int, rows: npt.NDArray[Any], report: MapsRe
 
 
 def _check_distinct(
-    reader: MapsReader, start: int, depths: npt.NDArray[Any], known: dict[bytes, int], report: MapsReport
+    reader: MapsReader, start: int, depths: npt.NDArray[Any], known: dict[bytes, int], report: Add
 ) -> None:
     try:
         masks = reader.read("ee_mask", start, start + len(depths))

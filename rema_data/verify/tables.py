@@ -5,7 +5,7 @@ All checks work on whole columns. Each rule reports once, with the rows that bre
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,9 +18,9 @@ from rema_data.release.manifest import BlockEntry
 from rema_data.schema import TASKS, Embodiment, Failure, Primitive, Shape, pinch_step, skill, tool_steps
 from rema_data.store.block import EPISODES, STEPS
 from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS
-from rema_data.verify.findings import rows_of
+from rema_data.verify.findings import Add, rows_of
 
-__all__ = ["PUSH_SUCCESS_M", "TablesReport", "check_tables"]
+__all__ = ["PUSH_SUCCESS_M", "check_tables"]
 
 PUSH_SUCCESS_M = 0.10
 """A push succeeds when the object has moved at least this far in +x (paper, tasks "push" and "grasp -> push")."""
@@ -30,8 +30,6 @@ _SPEC = ("shape", "length_m", "width_m", "arm_m", "height_m")
 _OBJECTS = ("target", "tool0", "tool1", "pinch")
 _COUNTED = ("lift_m", "peak_force_n", "contact_steps", "illegal_steps", "sim_steps")
 Array = npt.NDArray[Any]
-TablesReport = Callable[[str, str, str, str], None]
-"""Called with kind, file inside the block, place in it, and detail."""
 
 
 def check_tables(
@@ -39,23 +37,14 @@ def check_tables(
     episodes: pa.Table,
     steps: pa.Table,
     map_rows: dict[str, int],
-    report: TablesReport,
+    report: Add,
     *,
     gaps: bool = False,
 ) -> None:
-    """Check the tables of a block.
+    """Check the tables of a block against each other, ``entry``, and the rows of the map arrays that could be read.
 
-    Parameters
-    ----------
-    entry : BlockEntry
-        What the manifest says about the block.
-    episodes, steps : Table
-    map_rows : dict of str to int
-        Rows of the map arrays that could be read.
-    report : callable
-    gaps : bool
-        Whether episodes may be missing, as in an import from which some were deleted: those that stay keep their
-        numbers, which with the seed say how they were drawn.
+    ``gaps`` allows missing episodes, as in an import from which some were deleted: those that stay keep their numbers,
+    which with the seed say how they were drawn.
     """
     for file, what, found, said in _counts(entry, episodes, steps, map_rows):
         if found != said:
@@ -87,9 +76,7 @@ def _counts(
 class _Check:
     """One block while it is checked."""
 
-    def __init__(
-        self, entry: BlockEntry, episodes: pa.Table, steps: pa.Table, report: TablesReport, gaps: bool
-    ) -> None:
+    def __init__(self, entry: BlockEntry, episodes: pa.Table, steps: pa.Table, report: Add, gaps: bool) -> None:
         self.entry = entry
         self.kinds = TASKS[entry.task]
         self.table = steps
@@ -197,12 +184,12 @@ class _Check:
         return not foreign.any()
 
     def ends_of_episodes(self) -> None:
-        """An episode goes on until its first failed step, and takes its success and label from its last one."""
+        """An episode continues until its first failed step, and takes its success and label from its last one."""
         final = self.first + self.length - 1
         success, failed = self.steps["success"].astype(bool), self.episodes["failed_step"]
         goes_on = np.ones(len(success), bool)
         goes_on[final] = False
-        self.flag("episodes", ~success & goes_on, "the step failed, but the episode goes on")
+        self.flag("episodes", ~success & goes_on, "the step failed, but the episode continues")
         whole, won = self.length == len(self.kinds), self.episodes["success"].astype(bool)
         early = success[final] & ~whole
         self.flag("episodes", early, "the episode ends early, after a step that succeeded", EPISODES)

@@ -97,7 +97,7 @@ def test_a_missing_value_is_never_a_height() -> None:
 
 def test_a_height_beyond_int16_is_no_height() -> None:
     assert decode_heights(np.array([32_767], np.uint16)).tolist() == [32_667]
-    with pytest.raises(IntegrityError, match="the value 40000 is no height"):
+    with pytest.raises(IntegrityError, match="the value 40000 is not a height"):
         decode_heights(np.array([40_000], np.uint16))
 
 

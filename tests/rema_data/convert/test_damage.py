@@ -101,7 +101,7 @@ CHANGES: list[tuple[Callable[[h5py.File], None], type[RemaError], str]] = [
     (halved, IntegrityError, "data/demo_4 has a map that cannot be stored: a mask"),
     (twice, IntegrityError, "data/demo_40 is the same episode as demo_4"),
     (attribute("seed", None), IntegrityError, "data/demo_4 has no attribute seed"),
-    (attribute("seed", 1.5), IntegrityError, "data/demo_4 has the seed .*, which is no uint64"),
+    (attribute("seed", 1.5), IntegrityError, "data/demo_4 has the seed .*, which is not uint64"),
     (attribute("split", np.int64(3)), IntegrityError, "data/demo_4 has the split"),
     (attribute("round", np.int16(7)), IntegrityError, "data/demo_4 says that it belongs to round-7"),
     (attribute("num_samples", 9), IntegrityError, "data/demo_4 has 9 samples"),

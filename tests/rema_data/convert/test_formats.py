@@ -41,10 +41,11 @@ def install(folder: Path, formats: dict[str, str]) -> None:
 
 
 @pytest.fixture(autouse=True)
-def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def package(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
     """An installed package with a format, and with two that do not work."""
-    install(tmp_path / "site" / "morefor", PLACES)
-    monkeypatch.syspath_prepend(tmp_path / "site" / "morefor")
+    folder = tmp_path_factory.mktemp("site") / "morefor"
+    install(folder, PLACES)
+    monkeypatch.syspath_prepend(folder)
 
 
 def test_a_package_adds_a_format_without_an_edit_here(release: ReleaseFolder, tmp_path: Path) -> None:

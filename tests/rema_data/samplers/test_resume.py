@@ -215,11 +215,11 @@ def test_state_of_something_else_is_refused() -> None:
     [
         ("version 1", {"version": 2}),
         ("no settings", {"settings": None}),
-        ("no position", {"epoch": -1}),
-        ("no position", {"batch": 8}),
-        ("no position", {"batch": "1"}),
-        ("no position", {"batch": 7, "row": 1}),
-        ("no position", {"row": 2}),
+        ("not a position", {"epoch": -1}),
+        ("not a position", {"batch": 8}),
+        ("not a position", {"batch": "1"}),
+        ("not a position", {"batch": 7, "row": 1}),
+        ("not a position", {"row": 2}),
     ],
 )
 def test_damaged_states_are_refused(match: str, change: dict[str, Any]) -> None:
@@ -231,7 +231,7 @@ def test_damaged_states_are_refused(match: str, change: dict[str, Any]) -> None:
 
 def test_more_damaged_states() -> None:
     for nothing in ({}, None, [1]):
-        with pytest.raises(InputError, match="no state of a sampler"):
+        with pytest.raises(InputError, match="not a state of a sampler"):
             made().load_state_dict(nothing)  # type: ignore[arg-type]
     state = made("average").state_dict()
     for anchor in ([1, [1] * 8], [0, [0] * 7], [0, [1, -1, 0, 0, 0, 0, 0, 0]], [], [10**6, [125_000] * 8]):

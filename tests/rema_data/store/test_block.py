@@ -103,7 +103,7 @@ def test_the_path_of_a_block_names_it(number: int, task: str, split: str) -> Non
     ],
 )
 def test_what_names_no_block(path: str) -> None:
-    with pytest.raises(InputError, match="names no block") as caught:
+    with pytest.raises(InputError, match="is not the name of a block") as caught:
         BlockKey.parse(path)
     assert "round-1/grasp/train" in caught.value.hint
 

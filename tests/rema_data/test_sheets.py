@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from rema_data import grid, pictures
+from rema_data import grid, pictures, sheets
 from rema_data.errors import InputError, StorageError
 from rema_data.gallery import GalleryStep
-from rema_data.pictures import contact_sheet, describe, outcome_text, tile, write_pictures
+from rema_data.pictures import outcome_text
 from rema_data.schema import TASKS, Action
+from rema_data.sheets import contact_sheet, describe, tile, write_pictures
 from rema_data.store.block import BlockKey
 from rema_data.store.tables import step_row
 from rema_data.testing import synthetic_episode
@@ -45,22 +46,22 @@ STEPS = [(task, position) for task, steps in TASKS.items() for position in range
 @pytest.mark.parametrize(("task", "position"), STEPS)
 def test_every_kind_of_step_has_a_picture(task: str, position: int) -> None:
     image = np.asarray(tile(shown(task, position)))
-    assert image.shape == (*pictures._TILE[::-1], 3)
+    assert image.shape == (*sheets._TILE[::-1], 3)
     assert len(np.unique(image.reshape(-1, 3), axis=0)) > 50
     assert np.abs(image.astype(int) - ORANGE).sum(-1).min() < 10
 
 
 def scene_panel(step: GalleryStep) -> np.ndarray:
     """The scene map of a tile, row 0 at the lowest y."""
-    top, left = pictures._HEAD, pictures._MARGIN
-    return np.asarray(tile(step))[top : top + pictures._SCENE, left : left + pictures._SCENE][::-1].astype(int)
+    top, left = sheets._HEAD, sheets._MARGIN
+    return np.asarray(tile(step))[top : top + sheets._SCENE, left : left + sheets._SCENE][::-1].astype(int)
 
 
 @pytest.mark.parametrize(("i", "j"), [(8, 50), (32, 32), (55, 10)])
 def test_the_action_is_drawn_at_its_pixel(i: int, j: int) -> None:
     panel = scene_panel(shown("grasp", action=int(grid.encode(i, j, 4))))
     rows, columns = np.nonzero(np.abs(panel - ORANGE).sum(-1) < 10)
-    centre = (np.array([i, j]) + 0.5) * pictures._SCENE / grid.SCENE_PIXELS
+    centre = (np.array([i, j]) + 0.5) * sheets._SCENE / grid.SCENE_PIXELS
     assert np.hypot(rows - centre[0], columns - centre[1]).min() < 2
     # Angle 4 is a quarter turn: the arrow points to +y.
     assert rows.max() > centre[0] + 25
@@ -76,7 +77,7 @@ def test_the_target_is_drawn_where_it_is() -> None:
     panel = scene_panel(GalleryStep(step.row, dataclasses.replace(seen, mask=np.zeros_like(seen.mask))))
     dark = panel[2:-2, 2:-2].sum(-1) < 480
     rows, columns = np.nonzero(dark & (panel[2:-2, 2:-2].std(-1) < 30))
-    scale = pictures._SCENE / grid.SCENE_PIXELS
+    scale = sheets._SCENE / grid.SCENE_PIXELS
     assert np.allclose([rows.min() + 2, rows.max() + 3], [50 * scale, 56 * scale], atol=1)
     assert np.allclose([columns.min() + 2, columns.max() + 3], [40 * scale, 46 * scale], atol=1)
 
@@ -89,7 +90,7 @@ def test_the_mask_is_tinted() -> None:
         depth[:, 40:70, 40:70] = 300
         mask[:, 40:70, 40:70] = allowed
         image = np.asarray(tile(GalleryStep(step.row, dataclasses.replace(step.observation, depth=depth, mask=mask))))
-        panel = image[pictures._HEAD :, -pictures._MARGIN - pictures._HAND : -pictures._MARGIN].astype(int)
+        panel = image[sheets._HEAD :, -sheets._MARGIN - sheets._HAND : -sheets._MARGIN].astype(int)
         blueish = (panel[..., 2] - panel[..., 0] > 80).sum()
         assert (blueish > 1000) == allowed
 
@@ -130,7 +131,7 @@ def test_a_sheet_holds_every_tile() -> None:
 
 def test_the_same_steps_are_the_same_bytes(tmp_path: Path) -> None:
     steps = [shown("grasp_grasp", n) for n in range(3)]
-    for suffix in pictures.SUFFIXES:
+    for suffix in sheets.SUFFIXES:
         for name in "ab":
             write_pictures(steps, tmp_path / f"{name}{suffix}", "title")
         assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
@@ -148,7 +149,7 @@ def test_a_page_holds_its_pictures_and_no_markup_of_others(tmp_path: Path) -> No
     assert len(sources) == 2
     for source in sources:
         with Image.open(io.BytesIO(base64.b64decode(source))) as picture:
-            assert picture.size == pictures._TILE
+            assert picture.size == sheets._TILE
 
 
 def test_another_suffix_is_refused(tmp_path: Path) -> None:
