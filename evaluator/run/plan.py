@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 from evaluator.engines import Job, JobBatch
 from evaluator.protocol import acting_steps
 from evaluator.run.records import Records
-from evaluator.scenarios import ScenarioList, load_list
+from evaluator.scenarios import ScenarioList, load_list, versions
 from rema_data.errors import RunMismatchError
 from rema_data.schema import Scenario, Situation, StepOutcome, pinch_step, tool_steps
 
@@ -55,18 +55,21 @@ class Plan:
 
 
 def scenario_list(header: Mapping[str, Any]) -> ScenarioList:
-    """The list on which a run was played; a RunMismatchError if it is not the one here."""
+    """The list on which a run was played, of whichever version; a RunMismatchError if it is not here."""
     identity = header["identity"]
-    scenarios, recorded = load_list(identity["task"], identity["split"]), identity["scenarios_hash"]
-    if scenarios.sha256 != recorded or header["episodes"] > len(scenarios.scenarios):
-        raise RunMismatchError(
-            f"the run was played on another scenario list than the one here: {recorded}, here {scenarios.sha256}",
-            hint="use the version of rema that made it (`versions` in run.json)",
-            field="scenarios_hash",
-            recorded=recorded,
-            here=scenarios.sha256,
-        )
-    return scenarios
+    recorded, here = identity["scenarios_hash"], []
+    for version in versions():
+        scenarios = load_list(identity["task"], identity["split"], version)
+        if scenarios.sha256 == recorded and header["episodes"] <= len(scenarios.scenarios):
+            return scenarios
+        here.append(scenarios.sha256)
+    raise RunMismatchError(
+        f"the run was played on another scenario list than the ones here: {recorded}, here {', '.join(here)}",
+        hint="use the version of rema that made it (`versions` in run.json)",
+        field="scenarios_hash",
+        recorded=recorded,
+        here=here,
+    )
 
 
 def arrange(items: Sequence[_T], order: str, keys: Sequence[int]) -> list[_T]:

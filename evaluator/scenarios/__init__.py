@@ -14,6 +14,7 @@ from evaluator.scenarios.lists import (
     manifest_path,
     scenario_id,
     update_manifest,
+    versions,
     write_list,
 )
 
@@ -26,5 +27,6 @@ __all__ = [
     "manifest_path",
     "scenario_id",
     "update_manifest",
+    "versions",
     "write_list",
 ]

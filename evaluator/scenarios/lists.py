@@ -41,6 +41,7 @@ __all__ = [
     "load_list",
     "manifest_path",
     "scenario_id",
+    "versions",
     "update_manifest",
     "write_list",
 ]
@@ -183,6 +184,12 @@ def update_manifest(
 def manifest_path(version: str) -> Path:
     """Where the manifest of a version of the lists lies."""
     return manifests_dir() / "scenarios" / version / "manifest.json"
+
+
+def versions() -> tuple[str, ...]:
+    """The versions of the lists that are here, the one in force first."""
+    here = {path.parent.name for path in manifest_path(VERSION).parent.parent.glob("*/manifest.json")}
+    return (VERSION, *sorted(here - {VERSION}, reverse=True))
 
 
 def load_list(task: str, split: str = "test", version: str | None = None) -> ScenarioList:

@@ -144,7 +144,7 @@ def test_another_scenario_list_is_not_played(push_run: Path, tmp_path: Path, mon
     monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path))
     written = write_report(push_run, tmp_path / "page.html")
     assert written.shown == 0
-    assert "another scenario list than the one here" in Page(written.path).text
+    assert "another scenario list than the ones here" in Page(written.path).text
 
 
 def test_an_episode_that_differs_says_so(fake_home: Path, installation: Path) -> None:

@@ -155,7 +155,7 @@ def test_a_list_that_has_changed_since(shards: list[Path], fake_home: Path) -> N
         header = json.loads(path.read_text())
         header["identity"]["scenarios_hash"] = "x"
         path.write_text(json.dumps(header))
-    with pytest.raises(RunMismatchError, match="another scenario list than the one here: x"):
+    with pytest.raises(RunMismatchError, match="another scenario list than the ones here: x"):
         merge_runs(shards, fake_home / "merged")
 
 
