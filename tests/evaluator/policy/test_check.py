@@ -153,10 +153,10 @@ def rema(*arguments: str) -> tuple[int, str]:
 
 def test_the_command_prints_a_table_for_people(tmp_path: Path) -> None:
     code, shown = rema(write(tmp_path, GOOD), "--task", "grasp")
-    assert code == 0 and "ok  valid actions  64 of 64" in shown and "to fix this" not in shown
+    assert code == 0 and "ok  valid actions  64 of 64" in shown and "to fix" not in shown
     code, shown = rema(write(tmp_path, "return good(observations) * 1.0"), "--task", "grasp")
     assert code == 3 and "refused  valid actions" in shown
-    assert "to fix this: return integers: actions.astype(np.int64)" in shown
+    assert "to fix valid actions: return integers: actions.astype(np.int64)" in shown
 
 
 def test_the_command_prints_one_object_for_programs(tmp_path: Path) -> None:
