@@ -209,7 +209,7 @@ def test_a_loss_that_is_not_finite(
 
 
 @pytest.mark.parametrize(
-    ("part", "words"), [("weight", "left weights that are"), ("answers", "validation steps is not")]
+    ("part", "words"), [("weight", "left weights that are"), ("answers", "validation steps are not")]
 )
 def test_finite_losses_of_a_network_that_is_not_finite(
     release: rema_data.Release,
