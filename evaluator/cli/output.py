@@ -107,17 +107,9 @@ def print_table(
     title: str = "",
     right: Collection[str] = (),
 ) -> None:
-    """Print a table, every row on one line.
+    """Print a table, every row on one line; without titles it has no header. ``right`` names right-aligned columns.
 
-    Parameters
-    ----------
-    columns : sequence of str
-        Titles; a table whose titles are all empty has no header.
-    rows : iterable of sequence of str or Text
-        None is a gap between two rows, on a terminal.
-    title : str
-    right : collection of str
-        Columns that are aligned to the right.
+    A row that is None is a gap between two rows, on a terminal.
     """
     from rich import box
     from rich.table import Table

@@ -38,14 +38,9 @@ class _Rate(ProgressColumn):
 
 
 class StderrProgress(logging.Handler):
-    """``rema_data.progress.Progress`` on stderr, as a context manager.
+    """``rema_data.progress.Progress`` on stderr, as a context manager; ``in_bytes``: the phases count bytes.
 
     Warnings of the library appear above the bars meanwhile.
-
-    Parameters
-    ----------
-    in_bytes : bool
-        The phases count bytes.
     """
 
     def __init__(self, in_bytes: bool = False) -> None:

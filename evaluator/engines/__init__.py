@@ -1,8 +1,4 @@
-"""Engines: where simulation jobs run: ``inline`` in this process, ``process`` in workers of it, ``ray`` in a cluster.
-
-Read in this order: ``base`` (the contract), ``registry`` (engines by name), ``inline``, ``process``, ``child`` and
-``worker`` (the two ends of a pipe), ``ray``.
-"""
+"""Engines, where simulation jobs run: ``inline`` (this process), ``process`` (workers of it), ``ray`` (a cluster)."""
 
 from __future__ import annotations
 

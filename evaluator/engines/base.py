@@ -51,20 +51,11 @@ class StepSimulator(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One action to simulate.
+    """One action to simulate."""
 
-    Attributes
-    ----------
-    key : int
-        Chosen by the caller, unique within one ``map``.
-    situation : Situation
-    action : int
-        Grid index.
-    """
-
-    key: int
+    key: int  # chosen by the caller, unique within one ``map``
     situation: Situation
-    action: int
+    action: int  # grid index
 
 
 JobBatch = tuple[Job, ...]
@@ -81,26 +72,13 @@ class InfraError:
 
 @dataclass(frozen=True, slots=True)
 class JobResult:
-    """The result of one job.
+    """The result of one job."""
 
-    Attributes
-    ----------
-    key : int
-        Of the job.
-    outcome : StepOutcome or InfraError
-    seconds : float
-        Wall time inside the simulator.
-    worker : str
-        Which worker ran it.
-    attempt : int
-        1 unless it lost a worker before.
-    """
-
-    key: int
+    key: int  # of the job
     outcome: StepOutcome | InfraError
-    seconds: float
-    worker: str
-    attempt: int = 1
+    seconds: float  # wall time inside the simulator
+    worker: str  # which worker ran it
+    attempt: int = 1  # 1 unless it lost a worker before
 
 
 BatchResult = tuple[JobResult, ...]
@@ -159,13 +137,7 @@ class EngineType(Protocol):
 
 
 def load_attribute(target: str) -> Callable[[], Any]:
-    """The callable that ``module:attribute`` names.
-
-    Raises
-    ------
-    InputError
-        It is not of that form, or there is no such attribute.
-    """
+    """The callable that ``module:attribute`` names. Raises InputError where there is none."""
     module, _, attribute = target.partition(":")
     if not module or not attribute:
         raise InputError(f"{target!r} does not name a callable", hint="write it as module:attribute", target=target)

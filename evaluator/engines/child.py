@@ -25,17 +25,8 @@ _TAIL_BYTES = 2000
 
 
 class Child:
-    """A started worker and the socket to it.
+    """A started worker and the socket to it; ``mode`` and ``target`` are those of ``evaluator.engines.worker``.
 
-    Parameters
-    ----------
-    mode : {"serve", "call"}
-        What the child does with ``target``; see ``evaluator.engines.worker``.
-    target : str
-        ``module:attribute``.
-
-    Notes
-    -----
     The child is a fresh interpreter and no fork: it inherits neither threads nor simulators. Its thread counts are in
     its environment before it imports anything, its standard output is discarded and its errors go to an unnamed file.
     """
@@ -66,10 +57,7 @@ class Child:
     def stop(self, grace_s: float = 0.0) -> str:
         """Close the socket, wait ``grace_s`` for the child to leave, then kill its whole group and reap it.
 
-        Returns
-        -------
-        str
-            Exit status, and the end of what the child wrote to standard error.
+        Returns the exit status, and the end of what the child wrote to standard error.
         """
         self.channel.close()
         if grace_s:
@@ -88,13 +76,7 @@ class Child:
 
 
 def call_in_child(target: str, timeout_s: float = 120.0) -> Any:
-    """Value of ``target()`` computed in a fresh process, so that this one does not import what it needs.
-
-    Raises
-    ------
-    InfrastructureError
-        The call raised, died, or did not answer in time.
-    """
+    """Value of ``target()`` from a fresh process. Raises InfrastructureError where it raised, died or hung."""
     child = Child("call", target)
     message: tuple[Any, ...] = ()
     try:

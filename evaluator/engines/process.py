@@ -54,23 +54,15 @@ class _Worker(Child):
 
 
 class ProcessEngine:
-    """Runs batches in worker processes, one simulator each.
+    """Runs batches in worker processes, one simulator each; by default on every core that this process may use.
 
-    Parameters
-    ----------
-    factory, workers, address
-        As ``EngineType`` has them; by default every core that this process may use. ``address`` changes nothing.
-    episode_limit_s : float
-        A worker that is silent for this long within one episode (or while it starts) is killed.
-    growth_limit_bytes : int
-        A worker whose resident memory grew by more than this since its start is replaced between batches.
+    A worker that is silent for ``episode_limit_s`` within one episode (or while it starts) is killed. One whose
+    resident memory grew by more than ``growth_limit_bytes`` is replaced between batches.
 
-    Notes
-    -----
-    A dead worker's unfinished jobs go to others. The job it died in is tried again, first and alone in a fresh
-    worker; if that dies too, the job's result is an ``InfraError`` and the run goes on. The cost beside the
-    simulator is one message per job, some tens of microseconds. Batches should stay below about 200 jobs, so that
-    handing one over never waits for the worker.
+    A dead worker's unfinished jobs go to others. The job it died in is tried again, first and alone in a fresh worker;
+    if that dies too, the job's result is an ``InfraError`` and the run goes on. The cost beside the simulator is one
+    message per job, some tens of microseconds. Batches should stay below about 200 jobs, so that handing one over never
+    waits for the worker.
     """
 
     place = "machine"
@@ -96,13 +88,7 @@ class ProcessEngine:
         self._failed_starts = 0
 
     def map(self, batches: Iterable[JobBatch]) -> Iterator[BatchResult]:
-        """Run the batches; see ``Engine.map``.
-
-        Raises
-        ------
-        InfrastructureError
-            No worker can be started.
-        """
+        """Run the batches; see ``Engine.map``. Raises InfrastructureError where no worker can be started."""
         source = iter(batches)
         self._deaths.clear()
         self._suspects.clear()

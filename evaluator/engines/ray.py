@@ -1,7 +1,6 @@
 """Many machines: the batches of a run through an existing Ray cluster, by actors that hold one simulator each.
 
-A simulator that dies is replaced on its machine, by the process engine in its actor. ``RayEngine`` decides what happens
-when a machine, or the actor on it, goes away.
+A simulator that dies is replaced by the process engine in its actor.
 """
 
 from __future__ import annotations
@@ -68,24 +67,11 @@ class _Seat:
 class RayEngine:
     """Runs batches on a Ray cluster, whose machines need the same version of this package.
 
-    Parameters
-    ----------
-    factory, workers, address
-        As ``EngineType`` has them. Every worker takes one CPU. ``address`` is that of ``ray.init``: ``local`` starts a
-        cluster on this machine for as long as the engine lives. A process that is connected already stays so.
-    same : str, optional
-        ``module:attribute`` of a call whose value must be the same on every machine as here; the fingerprint of the
-        simulator by default, so that outcomes of another build never enter a run.
-    episode_limit_s : float
-        As in ``ProcessEngine``.
+    Every worker takes one CPU. ``address`` is that of ``ray.init``: ``local`` starts a cluster on this machine for as
+    long as the engine lives. A process that is connected already stays so. ``same`` (``module:attribute``) is a call
+    whose value must be the same on every machine as here; the fingerprint of the simulator by default, so that outcomes
+    of another build never enter a run. Raises InputError where Ray is not installed.
 
-    Raises
-    ------
-    InputError
-        Ray is not installed.
-
-    Notes
-    -----
     A lost actor is replaced by a new one wherever there is room. The jobs that it was running go out again one by one;
     a job that loses a second actor is given up with an ``InfraError``, as in ``ProcessEngine``. Jobs that only waited
     for the lost actor are not counted.
@@ -123,13 +109,7 @@ class RayEngine:
 
     @property
     def workers(self) -> int:
-        """Number of actors; connects to the cluster where it was not given.
-
-        Raises
-        ------
-        InputError
-            There is no cluster at the address.
-        """
+        """Number of actors; connects where it was not given. Raises InputError where the address has no cluster."""
         if self._workers is None:
             self._connect()
             self._workers = max(1, int(self._ray.cluster_resources().get("CPU", 1)))
@@ -138,12 +118,8 @@ class RayEngine:
     def map(self, batches: Iterable[JobBatch]) -> Iterator[BatchResult]:
         """Run the batches; see ``Engine.map``.
 
-        Raises
-        ------
-        InputError
-            There is no cluster at the address.
-        InfrastructureError
-            No actor can be started, or a machine of the cluster simulates differently from this one.
+        Raises InputError where the address has no cluster, InfrastructureError where no actor starts or a machine
+        simulates differently.
         """
         self._connect()
         source = iter(batches)

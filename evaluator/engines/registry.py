@@ -27,13 +27,7 @@ def engine_names() -> list[str]:
 
 
 def engine_type(name: str) -> EngineType:
-    """The class of an engine.
-
-    Raises
-    ------
-    InputError
-        No such engine is installed, or it cannot be imported.
-    """
+    """The class of an engine. Raises InputError where it is not installed or cannot be imported."""
     from rema_data.plugins import load
 
     point = _installed().get(name)
@@ -43,13 +37,7 @@ def engine_type(name: str) -> EngineType:
 
 
 def check_engine(name: str, workers: int | None = None, address: str | None = None) -> EngineType:
-    """The class of an engine, after a check of what it is to be made with.
-
-    Raises
-    ------
-    InputError
-        There is no such engine, ``workers`` is not positive, or the engine takes no address.
-    """
+    """The class of an engine. Raises InputError for an unknown name, a bad number of workers or a useless address."""
     found = engine_type(name)
     if workers is not None and workers < 1:
         raise InputError(f"--workers {workers} is not a positive number", hint="give 1 or more", workers=workers)
@@ -64,22 +52,8 @@ def check_engine(name: str, workers: int | None = None, address: str | None = No
 def make_engine(
     name: str, workers: int | None = None, factory: str = SIMULATOR, *, address: str | None = None
 ) -> Engine:
-    """An engine by name.
+    """An engine by name; ``workers`` and ``address`` as in ``EngineType``, ``factory`` is ``module:attribute``.
 
-    Parameters
-    ----------
-    name : str
-        One of ``engine_names()``.
-    workers : int, optional
-        Every core (of the cluster) by default; ``inline`` has one.
-    factory : str
-        ``module:attribute`` of the simulator's factory.
-    address : str, optional
-        Of the cluster; only an engine on a cluster has one.
-
-    Raises
-    ------
-    InputError
-        As ``check_engine``; or a library that the engine needs is not installed.
+    Raises InputError as ``check_engine``, or where a library that the engine needs is not installed.
     """
     return check_engine(name, workers, address)(factory, workers, address=address)

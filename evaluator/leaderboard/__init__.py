@@ -1,8 +1,4 @@
-"""The leaderboard, from result files alone.
-
-Read in this order: ``row`` (what is shown), ``ranking`` (who is better), ``board`` (the whole), ``published`` (the
-paper's rates).
-"""
+"""The leaderboard, from result files alone."""
 
 from __future__ import annotations
 

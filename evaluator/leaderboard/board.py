@@ -27,29 +27,18 @@ PUBLISHED_REMARK = (
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """The table.
+    """The table."""
 
-    Attributes
-    ----------
-    rows : tuple of Row
-        By task and protocol: ranked and published rows by rate, then the others by rate.
-    remarks : tuple of str
-        What the rows mean, and which of them do not compare.
-    refused : tuple of RemaError
-        Why a source is not among the rows; each is a remark as well.
-    """
-
-    rows: tuple[Row, ...]
-    remarks: tuple[str, ...]
-    refused: tuple[RemaError, ...] = ()
+    rows: tuple[Row, ...]  # by task and protocol: ranked and published rows by rate, then the others by rate
+    remarks: tuple[str, ...]  # what the rows mean, and which of them do not compare
+    refused: tuple[RemaError, ...] = ()  # why a source is not among the rows; each is a remark as well
 
 
 def leaderboard(sources: Sequence[Path], published: bool = True) -> Board:
     """The board of some run folders and submission files, and of the paper; see ``evaluator.leaderboard``.
 
-    A run that is there as a submission as well is shown once. A source that is not finished, or changed since it was
-    sealed, is left out and named. The paper's rows are those of the tasks of the sources, or of all where there is no
-    source.
+    A run that is also there as a submission is shown once. An unfinished or changed source is left out and named. The
+    paper's rows are those of the tasks of the sources, or all where there is no source.
     """
     read, refused = _read(sources)
     runs = _once(read)

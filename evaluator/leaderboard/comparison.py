@@ -29,50 +29,29 @@ __all__ = ["Comparison", "StratumRow", "compare"]
 
 @dataclass(frozen=True, slots=True)
 class StratumRow:
-    """The comparison within a stratum; exploratory.
-
-    ``interval`` is that of the difference (95 %), ``p_adjusted`` the mid-p McNemar value, Benjamini-Hochberg over all
-    strata.
-    """
+    """The comparison within a stratum; exploratory."""
 
     by: str
     label: str
     table: PairTable
-    interval: tuple[float, float]
-    p_adjusted: float
+    interval: tuple[float, float]  # 95 % of the difference
+    p_adjusted: float  # mid-p McNemar, Benjamini-Hochberg over all strata
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """A against B on the scenarios that both were measured on.
-
-    Attributes
-    ----------
-    a, b : Run
-    table : PairTable
-    interval : (float, float)
-        95 % of A's rate minus B's (Newcombe, paired).
-    p : float
-        Mid-p McNemar, two-sided.
-    detectable : float or None
-        Smallest difference that so many scenarios at this discordance find with 80 % power.
-    strata : tuple of StratumRow
-    only_a, only_b : tuple of int
-        Scenarios (numbers in the list) that one solved and the other did not.
-    remarks : tuple of str
-        What limits the comparison.
-    """
+    """A against B on the scenarios that both were measured on."""
 
     a: Run
     b: Run
     table: PairTable
-    interval: tuple[float, float]
-    p: float
-    detectable: float | None
+    interval: tuple[float, float]  # 95 % of A's rate minus B's (Newcombe, paired)
+    p: float  # mid-p McNemar, two-sided
+    detectable: float | None  # smallest difference found with 80 % power at this discordance
     strata: tuple[StratumRow, ...]
-    only_a: tuple[int, ...]
-    only_b: tuple[int, ...]
-    remarks: tuple[str, ...]
+    only_a: tuple[int, ...]  # scenarios (numbers in the list) that only A solved
+    only_b: tuple[int, ...]  # and only B
+    remarks: tuple[str, ...]  # what limits the comparison
 
     def to_dict(self) -> dict[str, Any]:
         """Everything, ready for JSON; rates and differences are shares in 0..1."""
@@ -120,10 +99,9 @@ def _numbers(table: PairTable, interval: tuple[float, float]) -> dict[str, Any]:
 
 
 def compare(a: Run, b: Run) -> Comparison:
-    """Compare two runs, scenario by scenario; see ``evaluator.compare``.
+    """Compare two runs, scenario by scenario, on the scenarios that both have; see ``evaluator.compare``.
 
-    Runs of different length are compared on the scenarios that both have; what one of them lost to the infrastructure
-    is left out and named in the remarks.
+    Scenarios that one of them lost to the infrastructure are left out and named in the remarks.
     """
     _check_comparable(a, b)
     ours, theirs = a.outcomes, b.outcomes

@@ -15,17 +15,13 @@ __all__ = ["Check", "installed_list", "obstacles", "rank_checks"]
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One condition of a rank, or of a submission.
+    """One condition of a rank, or of a submission."""
 
-    ``what`` is the field, ``required`` what it must be, ``found`` what it is; ``reason`` says in a few words why a run
-    that does not meet it has no rank.
-    """
-
-    what: str
+    what: str  # the field
     passed: bool
-    required: str
-    found: str
-    reason: str = ""
+    required: str  # what it must be
+    found: str  # what it is
+    reason: str = ""  # in a few words, why a run that does not meet it has no rank
 
 
 def installed_list(task: str, split: str) -> tuple[str, int] | None:

@@ -18,21 +18,12 @@ LEVEL = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """Place of a run among the others of its task and protocol.
+    """Place of a run among the others of its task and protocol."""
 
-    Attributes
-    ----------
-    rank : int or None
-        1 plus the number of unprivileged policies that are significantly better; None for privileged and unranked runs.
-    ties : str
-        Letters that it shares with the runs from which it does not differ significantly.
-    unranked : str
-        Why it has no rank; empty if it has, or is privileged.
-    """
-
+    # 1 plus the unprivileged policies that are significantly better; None: privileged or unranked
     rank: int | None = None
-    ties: str = ""
-    unranked: str = ""
+    ties: str = ""  # letters shared with the runs from which it does not differ significantly
+    unranked: str = ""  # why it has no rank; empty if it has, or is privileged
 
 
 @dataclass(frozen=True, slots=True)

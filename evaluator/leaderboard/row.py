@@ -23,56 +23,30 @@ TAGS = ("submitted", *KINDS, PUBLISHED)
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One policy on one task.
-
-    Attributes
-    ----------
-    policy, task, protocol, split, source, link : str
-    tag : str
-        ``submitted``, ``learned`` (a built-in network), ``privileged``, ``random`` or ``published``.
-    successes : int or None
-        Not published by the paper.
-    episodes : int
-        Eligible episodes: the denominator.
-    rate : float or None
-        Share in 0..1; None where no episode was eligible.
-    ci95 : (float, float) or None
-        Wilson; Clopper-Pearson where the rate is 0 or 1.
-    bounds : (float, float) or None
-        The rate if all episodes lost to the infrastructure had failed, or succeeded; None where none was lost.
-    policy_errors, infra_errors, failures, funnel, audit
-        As in ``Run`` and its counts.
-    rank, ties, unranked
-        As in ``Standing``.
-    end_to_end : float or None
-        The same policy's rate over the whole task, on conditional rows of tasks of several steps.
-    z : float or None
-        Distance to the published rate of the same policy and task, in standard errors.
-    policy_digest, protocol_hash, scenarios_hash, fingerprint, isolation : str
-        Empty if published.
-    """
+    """One policy on one task."""
 
     policy: str
-    tag: str
+    tag: str  # ``submitted``, ``learned`` (a built-in network), ``privileged``, ``random`` or ``published``
     task: str
     protocol: str
     split: str
-    successes: int | None
-    episodes: int
-    rate: float | None
-    ci95: tuple[float, float] | None
+    successes: int | None  # not published by the paper
+    episodes: int  # eligible episodes: the denominator
+    rate: float | None  # share in 0..1; None where no episode was eligible
+    ci95: tuple[float, float] | None  # Wilson; Clopper-Pearson where the rate is 0 or 1
+    # rate if all episodes lost to the infrastructure had failed, or succeeded; None: none lost
     bounds: tuple[float, float] | None = None
-    policy_errors: int = 0
+    policy_errors: int = 0  # this and the next four as in ``Run`` and its counts
     infra_errors: int = 0
     failures: dict[str, int] | None = None
     funnel: tuple[FunnelStep, ...] = ()
     audit: Audit | None = None
-    rank: int | None = None
+    rank: int | None = None  # this and the next two as in ``Standing``
     ties: str = ""
     unranked: str = ""
-    end_to_end: float | None = None
-    z: float | None = None
-    policy_digest: str = ""
+    end_to_end: float | None = None  # rate over the whole task, on conditional rows of tasks of several steps
+    z: float | None = None  # distance to the published rate of the same policy and task, in standard errors
+    policy_digest: str = ""  # this, the hashes, ``fingerprint`` and ``isolation`` are empty if published
     protocol_hash: str = ""
     scenarios_hash: str = ""
     fingerprint: str = ""

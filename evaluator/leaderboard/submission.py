@@ -34,20 +34,8 @@ def check_run(folder: Path) -> list[Check]:
 def make_entry(folder: Path, name: str = "", link: str = "") -> Run:
     """A run that meets every condition, as ``encode`` makes a submission file of it.
 
-    Parameters
-    ----------
-    folder : Path
-    name : str
-        How the policy is called on the board; its name in the run by default.
-    link : str
-        Where to read about it.
-
-    Raises
-    ------
-    MissingFileError, InputError, IntegrityError
-        As ``read_run``; the name or the link cannot be used.
-    SubmissionError
-        A condition is not met; the message says which, what is required, and what was found.
+    ``name`` is the policy's on the board (that of the run by default), ``link`` where to read about it. Raises
+    InputError where either cannot be used, SubmissionError where a condition is not met, and what ``read_run`` raises.
     """
     checks, run = _inspect(folder)
     failed = [check for check in checks if not check.passed]

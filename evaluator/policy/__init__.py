@@ -1,17 +1,7 @@
 """Policies: what a submitter writes, how a policy is found, and the separate process that it runs in.
 
-::
-
-    contract  what a policy sees and what it answers
-    named     the installed policies, found by entry points
-    loading   "my_policy.py:Name" or an installed name  ->  PolicySpec (a file and a class, nothing imported)
-    shipped   an installed name  ->  the networks that come with the repository
-    check     some questions of every task  ->  what would be refused, and how to fix it
-    host      the evaluator's end: batches, contract checks, restarts  ->  answers or counted faults
-    process   one child process and its deadlines
-    sandbox   how that process is started, and what confines it
-    child     the policy's end: imports the file and answers batches
-    wire      the frames between both ends
+``contract`` is what a policy sees and answers; ``host`` is the evaluator's end of its process, ``child`` the policy's
+end, ``wire`` the frames between both.
 """
 
 from __future__ import annotations

@@ -35,60 +35,30 @@ _FIXES = {
 
 @dataclass(frozen=True, slots=True)
 class CheckResult:
-    """The result for one requirement.
-
-    Attributes
-    ----------
-    name : str
-    status : {"ok", "warning", "refused"}
-        ``refused``: `rema evaluate` or `rema submit` would not take the policy.
-    found : str
-    fix : str
-        What to do; empty where nothing is wrong.
-    """
+    """The result for one requirement."""
 
     name: str
+    # ``refused``: `rema evaluate` or `rema submit` would not take the policy
     status: Literal["ok", "warning", "refused"]
     found: str
-    fix: str = ""
+    fix: str = ""  # what to do; empty where nothing is wrong
 
 
 @dataclass(frozen=True, slots=True)
 class PolicyReport:
-    """The results of a check.
+    """The results of a check."""
 
-    Attributes
-    ----------
-    policy : str
-        Its name in tables.
-    file : Path
-    class_name : str
-    checkpoint : Path or None
-    device : str
-    tasks : tuple of str
-        That it was asked about.
-    results : tuple of CheckResult
-    privileged : bool
-    isolation : str
-        Level of the sandbox; empty where the policy's process did not start.
-    decisions : int
-        Observations that it was asked about.
-    seconds_per_decision : float or None
-        In batches; None where it never answered.
-    peak_memory_bytes : int or None
-    """
-
-    policy: str
+    policy: str  # its name in tables
     file: Path
     class_name: str
     checkpoint: Path | None
     device: str
-    tasks: tuple[str, ...]
+    tasks: tuple[str, ...]  # that it was asked about
     results: tuple[CheckResult, ...]
     privileged: bool = False
-    isolation: str = ""
-    decisions: int = 0
-    seconds_per_decision: float | None = None
+    isolation: str = ""  # level of the sandbox; empty where the process did not start
+    decisions: int = 0  # observations that it was asked about
+    seconds_per_decision: float | None = None  # in batches; None where it never answered
     peak_memory_bytes: int | None = None
 
     @property
@@ -140,10 +110,7 @@ class Same:
 
 
 def validity_result(answers: Sequence[Sequence[Answer]], returned: str) -> CheckResult:
-    """Whether the answers (one sequence a step) were valid; more faults in a step than a run tolerates are refused.
-
-    ``returned`` is the type and the shape of what the policy returned.
-    """
+    """The result for the validity of answers (a sequence a step); ``returned`` is the type and shape that came back."""
     every = [answer for part in answers for answer in part]
     faults = [answer for answer in every if isinstance(answer, PolicyFault)]
     if not faults:

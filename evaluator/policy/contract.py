@@ -51,13 +51,8 @@ class ObservationBatch:
     ) -> ObservationBatch:
         """Observations of one step; an end effector that they all have, as bare hands are, is held once.
 
-        Parameters
-        ----------
-        situation : Situation
-            Any of those that were observed: it says which step this is.
-        observations : sequence of Observation
-        valid : bool (64, 64, 16)
-            The same for all.
+        ``situation`` is any of those observed: it says which step this is. ``valid``, bool (64, 64, 16), is the same
+        for all.
         """
         scene = np.stack([one.scene_m() for one in observations])
         first, *others = observations

@@ -24,26 +24,11 @@ __all__ = ["convert"]
 
 
 def convert(path: Path, output: Path | None = None, *, key: str | None = None, trust: bool = False) -> Path:
-    """Write the tensors of a pickle as safetensors, and return the path of the new file.
+    """Write the tensors of a pickle of ``torch.save`` as safetensors, and return the path of the new file.
 
-    Parameters
-    ----------
-    path : Path
-        What ``torch.save`` wrote.
-    output : Path, optional
-        A new file; ``path`` with the suffix ``.safetensors`` by default.
-    key : str, optional
-        Name of the state dict, where the file holds more than one.
-    trust : bool
-        Whether the pickle may run code.
-
-    Raises
-    ------
-    MissingFileError, StorageError
-        There is no such file, or the output cannot be written.
-    InputError
-        It cannot be opened, or not without ``trust``; it has no state dict, or more than one and no ``key``; the output
-        exists already.
+    ``output`` must not exist; by default ``path`` with the suffix ``.safetensors``. ``key`` names the state dict where
+    there is more than one, and ``trust`` lets the pickle run code. Raises MissingFileError, StorageError (the output
+    cannot be written) or InputError.
     """
     from safetensors.torch import save
 

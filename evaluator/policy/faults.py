@@ -37,36 +37,19 @@ class FaultReason(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class PolicyFault:
-    """No action for one episode.
+    """No action for one episode."""
 
-    Attributes
-    ----------
-    reason : str
-        One of ``FaultReason``.
-    detail : str
-        What was answered, or where it was raised.
-    """
-
-    reason: str
-    detail: str
+    reason: str  # one of ``FaultReason``
+    detail: str  # what was answered, or where it was raised
 
 
 Answer = int | PolicyFault
 
 
 def check_answer(answer: npt.NDArray[np.generic], valid: npt.NDArray[np.bool_]) -> list[Answer]:
-    """Grid indices of an answer, or a fault for every episode whose action cannot be used.
+    """Grid indices of what a policy returned, or a fault for every episode whose action cannot be used.
 
-    Parameters
-    ----------
-    answer : array
-        What the policy returned.
-    valid : bool (N, 64, 64, 16)
-
-    Returns
-    -------
-    list of int or PolicyFault
-        One an observation. A wrong shape or type is a fault of all of them.
+    ``valid`` is bool (N, 64, 64, 16). A wrong shape or type is a fault of all observations.
     """
     if fault := form_fault(answer, len(valid)):
         return [fault] * len(valid)

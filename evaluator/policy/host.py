@@ -1,4 +1,4 @@
-"""The evaluator's end of a policy: its process, started in the sandbox, asked in batches, and started again if it dies.
+"""The evaluator's end of a policy: its process, asked in batches, and started again if it dies.
 
 Every violation of the contract is counted as a fault.
 """
@@ -39,42 +39,15 @@ _WARNINGS = 3  # failed batches that are logged as warnings: the counts are in t
 class PolicyHost:
     """A policy in a separate process, as a context manager.
 
-    Parameters
-    ----------
-    spec : PolicySpec
-    checkpoint : Path or None
-    device : str
-        Handed to the policy as it is.
-    limits : PolicyLimits
-    log : Path or None
-        Where the policy's output is appended when the host closes; None keeps it in memory (``output``).
-    run : Path or None
-        Folder of the run: the policy can read neither it nor the runs beside it. The folder of ``log`` by default.
-    confine : bool
-        Whether the kernel restricts the policy (Landlock, seccomp); ``isolation`` says what was reached.
-    sandbox : str or None
-        A wrapper's command that is put before the policy's, see ``evaluator.policy.sandbox.wrapper``.
+    ``log`` is where the policy's output is appended on closing; None keeps it in memory (``output``). The policy can
+    read neither ``run``, the folder of the run (that of ``log`` by default), nor the runs beside it. ``confine`` lets
+    the kernel restrict the policy (Landlock, seccomp); ``isolation`` says what was reached. ``sandbox`` is a wrapper's
+    command (``evaluator.policy.sandbox.wrapper``). ``restarts`` counts processes after the first one, ``returned`` is
+    type and shape of the last array that the policy returned.
 
-    Attributes
-    ----------
-    spec : PolicySpec
-    restarts : int
-        Processes that were started after the first one.
-    returned : str
-        Type and shape of the last array that the policy returned.
-
-    Raises
-    ------
-    MissingFileError
-        The checkpoint does not exist.
-    InputError
-        The wrapper's command cannot be used.
-    SubmissionError
-        On entering: the file does not import, has no such class, or its constructor raises or hangs.
-
-    Notes
-    -----
-    Enter it in the thread that outlives it: on Linux the kernel ends the process with the thread that started it.
+    Raises MissingFileError without the checkpoint, InputError for a wrapper that cannot be used and, on entering,
+    SubmissionError where the policy does not load. Enter it in the thread that outlives it: on Linux the kernel ends
+    the process with the thread that started it.
     """
 
     def __init__(
@@ -150,16 +123,7 @@ class PolicyHost:
     def act(self, batch: ObservationBatch, situations: tuple[Situation, ...] | None = None) -> list[Answer]:
         """An action or a fault for every observation of ``batch``, in its order.
 
-        Parameters
-        ----------
-        batch : ObservationBatch
-        situations : tuple of Situation, or None
-            Needed by a privileged policy, and never shown to another one.
-
-        Raises
-        ------
-        InputError
-            A privileged policy is asked without situations.
+        ``situations`` are needed by a privileged policy (an InputError without them), and never shown to another one.
         """
         if self._privileged and (situations is None or len(situations) != len(batch)):
             raise InputError("a privileged policy needs one situation an observation", hint="pass `situations`")
@@ -178,10 +142,8 @@ class PolicyHost:
     def maps(self, batch: ObservationBatch) -> npt.NDArray[np.float32] | PolicyFault:
         """The policy's scores of all actions, from its optional method ``maps(observations)``.
 
-        Returns
-        -------
-        float32 (N, 64, 64, K) with K from 1 to 16, or PolicyFault
-            A batch that failed is not asked again: no rate depends on it.
+        float32 (N, 64, 64, K) with K from 1 to 16, or a fault; a batch that failed is not asked again: no rate depends
+        on it.
         """
         self._asked += len(batch)
         reply = self._exchange("maps", batch, None, self._limits.batch_s, len(batch) * _MAP_BYTES)
@@ -193,8 +155,7 @@ class PolicyHost:
     def _ask_one_by_one(self, batch: ObservationBatch, shown: tuple[Situation, ...] | None) -> list[Answer]:
         """Find out which observations of a failed batch are faults.
 
-        The result depends on this batch only: in a run that was resumed, or on another machine, another process asked
-        the earlier batches, and the rows must not depend on that.
+        The result depends on this batch only: in a run that was resumed, another process asked the earlier batches.
         """
         answers: list[Answer] = []
         single_s = min(self._limits.batch_s, self._limits.single_s)

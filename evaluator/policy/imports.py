@@ -13,15 +13,10 @@ _PRODUCT = ("rema_data", "evaluator")
 
 
 def own_modules(file: Path) -> list[Path]:
-    """Files that ``file`` imports from its own folder, or from where its package lies, and what these import; sorted.
+    """Files that ``file`` (absolute) imports from its own folder or package, and what these import; sorted.
 
-    Of an installed package only its own modules count, not the packages beside it: the same as in a
-    checkout. An import that is computed at run time is not seen, and a file that is not Python has none.
-
-    Parameters
-    ----------
-    file : Path
-        Absolute.
+    Of an installed package only its own modules count, as in a checkout. An import that is computed at run time is not
+    seen, and a file that is not Python has none.
     """
     root = outermost_folder(file)
     root = root.parent if (root / "__init__.py").is_file() else root

@@ -21,34 +21,18 @@ NAME_LENGTH = 80
 
 @dataclass(frozen=True, slots=True)
 class PolicySpec:
-    """Where a policy's code is.
+    """Where a policy's code is."""
 
-    Attributes
-    ----------
-    name : str
-        Shown in tables and used in folder names.
-    path : Path
-        The Python file, absolute.
-    class_name : str
-    named : NamedPolicy or None
-        What its package says of it; None for a file.
-    """
-
-    name: str
-    path: Path
+    name: str  # shown in tables and used in folder names
+    path: Path  # the Python file, absolute
     class_name: str
-    named: NamedPolicy | None = None
+    named: NamedPolicy | None = None  # what its package says of it; None for a file
 
 
 def resolve(reference: str) -> PolicySpec:
-    """The file and class behind ``my_policy.py``, ``my_policy.py:ClassName`` or the name of an installed policy.
+    """The file and class behind ``my_policy.py``, ``my_policy.py:ClassName`` or an installed policy's name.
 
-    Raises
-    ------
-    MissingFileError
-        The file does not exist.
-    InputError
-        No installed policy has that name, or what follows the colon is not a class name.
+    Raises MissingFileError without the file, InputError for an unknown policy or a bad class name.
     """
     named = find_named(reference)
     if named is not None:
@@ -97,10 +81,7 @@ def check_checkpoint(checkpoint: Path | None) -> Path | None:
 def weights_of(spec: PolicySpec, checkpoint: Path | None) -> Path | None:
     """The weights that a policy is to load: those that the user names, else those that come with it.
 
-    Raises
-    ------
-    MissingFileError, IntegrityError
-        They are not there, or not the published ones.
+    Raises MissingFileError or IntegrityError where they are not there, or not the published ones.
     """
     if checkpoint is not None or spec.named is None:
         return check_checkpoint(checkpoint)
@@ -111,12 +92,7 @@ def digest(spec: PolicySpec, checkpoint: Path | None) -> str:
     """Identity of a policy: sha256 over its class name, its code and its weights, hexadecimal.
 
     The code is the file and the modules of its folder that it imports (``own_modules``). A checkpoint folder counts
-    with all its files, in sorted order.
-
-    Raises
-    ------
-    MissingFileError
-        The code or the checkpoint does not exist.
+    with all its files, sorted. Raises MissingFileError where code or checkpoint is missing.
     """
     if not spec.path.is_file():
         raise MissingFileError(f"policy file {spec.path} does not exist", hint="check the path", path=spec.path)

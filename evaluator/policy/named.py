@@ -24,34 +24,16 @@ PRIVILEGED_KINDS = ("privileged", "reference")
 
 @dataclass(frozen=True, slots=True)
 class NamedPolicy:
-    """A policy that a package offers by name.
+    """A policy that a package offers by name. Raises InputError for an unknown kind."""
 
-    Attributes
-    ----------
-    file : Path
-        Its Python file, absolute. The file imports its own package by absolute imports.
-    class_name : str
-    kind : {"learned", "heuristic", "privileged", "random", "reference"}
-        Shown on the leaderboard. ``privileged`` sees the ground truth; ``reference`` does too, and prepares scenarios.
-    description : str
-        One line.
-    checkpoint : Path or None
-        Weights that its package carries, for a run that names none.
-    published : str
-        Row of the paper's Table 2 that this policy reimplements; empty for most.
-
-    Raises
-    ------
-    InputError
-        The kind is not one of these.
-    """
-
-    file: Path
+    file: Path  # its Python file, absolute; it imports its own package by absolute imports
     class_name: str
+    # learned, heuristic, privileged, random or reference: shown on the leaderboard. ``privileged`` sees the ground
+    # truth; ``reference`` does too, and prepares scenarios
     kind: str
-    description: str
-    checkpoint: Path | None = None
-    published: str = ""
+    description: str  # one line
+    checkpoint: Path | None = None  # weights that its package carries, for a run that names none
+    published: str = ""  # row of the paper's Table 2 that it reimplements; empty for most
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:

@@ -43,12 +43,7 @@ def shipped_policies() -> dict[str, tuple[str, dict[str, str]]]:
 def shipped_checkpoint(policy: str) -> Path | None:
     """Folder of the networks of a built-in policy, every file of the manifest checked; None for a policy without any.
 
-    Raises
-    ------
-    MissingFileError
-        They are not on this machine.
-    IntegrityError
-        They are, but in every place a file differs from the manifest or is not in it.
+    Raises MissingFileError where they are not on this machine, IntegrityError where a file differs in every place.
     """
     entry = shipped_policies().get(policy)
     if entry is None:

@@ -77,10 +77,7 @@ def frame_parts(
 def read_frame(read: Read, max_header: int, max_bytes: int) -> Frame:
     """One frame from ``read(count)``, which answers exactly ``count`` bytes; arrays are writable and expanded.
 
-    Raises
-    ------
-    WireError
-        When the bytes are not a frame, or announce more than ``max_header`` or ``max_bytes``.
+    Raises WireError where the bytes are no frame, or announce more than ``max_header`` or ``max_bytes``.
     """
     (length,) = _LENGTH.unpack(read(_LENGTH.size))
     if length > max_header:

@@ -1,12 +1,7 @@
 """Play a finished run again from its recorded actions: no policy, no weights, no torch.
 
-Two things are checked: that what lies in the folder is what was sealed (``evaluator.run``), and that it is true,
-by simulating the recorded actions again and by counting the rows again.
-
-::
-
-    play      read, draw rows, simulate their recorded actions, compare
-    report    the findings, and the signature of a run that passed
+Two things are checked: that what lies in the folder is what was sealed (``evaluator.run``), and that it is true, by
+simulating the recorded actions again and by counting the rows again.
 """
 
 from __future__ import annotations

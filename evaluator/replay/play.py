@@ -55,8 +55,8 @@ def replay(
 ) -> ReplayReport:
     """Check a finished run: its seal, its signature, its statistics, and a share of its episodes by simulation.
 
-    See ``evaluator.replay``. ``backend`` is the real world by default; its policy is not used. The share is drawn at
-    random, so that it cannot be predicted which rows will be checked.
+    ``backend`` is the real world by default; its policy is not used. The share is drawn at random, so that nobody can
+    predict which rows will be checked.
     """
     if not 0 <= fraction <= 1:
         raise InputError(f"a fraction of {fraction}", hint="give a share from 0 to 1, such as 0.02")
@@ -198,10 +198,7 @@ class _Replay:
 
 
 def _world_differences(run: Run, fingerprint: dict[str, str], protocol_hash: str) -> dict[str, tuple[Any, Any]]:
-    """How the simulator and the protocol here differ from those of a run: field to (recorded, here).
-
-    Empty where a replay must give the same bits.
-    """
+    """Field to (recorded, here) where simulator or protocol differ; empty: a replay must give the same bits."""
     known, here = decisive(run.provenance.fingerprint), decisive(fingerprint)
     pairs = {name: (known.get(name), here.get(name)) for name in sorted(known.keys() | here.keys())}
     pairs["protocol_hash"] = (run.provenance.protocol_hash, protocol_hash)

@@ -21,59 +21,32 @@ __all__ = ["ReplayReport", "sign"]
 
 @dataclass(frozen=True, slots=True)
 class ReplayReport:
-    """What a replay found.
-
-    Attributes
-    ----------
-    run, policy, task, protocol : str
-    merkle_root, run_sha256 : str
-        Over the rows of the results table, and of ``run.json``; hexadecimal.
-    episodes, unfinished, infra_errors : int
-        Of the run: all, those without a result because it was interrupted, those lost to the infrastructure.
-    fraction : float
-        Share of the measured episodes to simulate again.
-    seed : int or None
-        With which they were drawn; None where all or none were.
-    replayed, lost : int
-        Episodes simulated again; those that could not be simulated here.
-    differences : dict of str to (recorded, here)
-        How the simulator here differs from that of the run: rows may then differ, which is not a finding.
-    different_rows, flips : int
-        Replayed rows of which any recorded value differed; those with another success or another label.
-    different_ci95, flips_ci95 : (float, float)
-        Clopper-Pearson intervals of their shares among all measured rows: the upper end bounds the share of false rows.
-    signed : bool
-        Whether there is a signature.
-    signer : str or None
-        Name of the public key with which it was checked.
-    audit : dict or None
-        What the run says about its own repeats.
-    findings : tuple of Finding
-        Empty where everything is as it was sealed, and true.
-    """
+    """What a replay found."""
 
     run: str
     policy: str
     task: str
     protocol: str
-    merkle_root: str
-    run_sha256: str
+    merkle_root: str  # over the rows of the results table; hexadecimal
+    run_sha256: str  # of ``run.json``; hexadecimal
     episodes: int
-    unfinished: int
-    infra_errors: int
-    fraction: float
-    seed: int | None
-    replayed: int
-    lost: int
+    unfinished: int  # episodes without a result because the run was interrupted
+    infra_errors: int  # episodes lost to the infrastructure
+    fraction: float  # share of the measured episodes to simulate again
+    seed: int | None  # with which they were drawn; None where all or none were
+    replayed: int  # episodes simulated again
+    lost: int  # those that could not be simulated here
+    # (recorded, here) of the simulator: rows may then differ, which is not a finding
     differences: dict[str, tuple[Any, Any]]
-    different_rows: int
+    different_rows: int  # replayed rows of which any recorded value differed
+    # Clopper-Pearson, among all measured rows: the upper end bounds the share of false rows
     different_ci95: tuple[float, float]
-    flips: int
+    flips: int  # replayed rows with another success or another label
     flips_ci95: tuple[float, float]
     signed: bool
-    signer: str | None
-    audit: dict[str, Any] | None
-    findings: tuple[Finding, ...]
+    signer: str | None  # name of the public key with which the signature was checked
+    audit: dict[str, Any] | None  # what the run says about its own repeats
+    findings: tuple[Finding, ...]  # empty where everything is as it was sealed, and true
 
     @property
     def ok(self) -> bool:
@@ -93,14 +66,8 @@ class ReplayReport:
 def sign(folder: Path, report: ReplayReport, key: Ed25519PrivateKey) -> Path:
     """Sign ``run.json`` after a replay found nothing; the path of the signature.
 
-    Raises
-    ------
-    InputError
-        Nothing was simulated again, or the run is not finished.
-    IntegrityError
-        The replay found something, or ``run.json`` has changed since.
-    RunMismatchError
-        The replay had another simulator, so nothing was confirmed.
+    Raises InputError where nothing was simulated again or the run is not finished, IntegrityError where the replay
+    found something or ``run.json`` has changed since, RunMismatchError where the replay had another simulator.
     """
     if not report.ok:
         raise IntegrityError(f"{folder} is not signed: the replay found something", hint="see the findings")

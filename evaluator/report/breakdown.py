@@ -63,21 +63,12 @@ class Breakdown:
 
 @dataclass(frozen=True, slots=True)
 class PlaceMap:
-    """Success by where the target lay.
+    """Success by where the target lay."""
 
-    Attributes
-    ----------
-    cells : tuple of (column, row, Group)
-        Column 0 at the smallest x, row 0 at the largest y, as they are drawn.
-    bins : int
-        Cells along an edge.
-    half_m : float
-        Half an edge of the whole map.
-    """
-
+    # (column, row, group): column 0 at the smallest x, row 0 at the largest y, as drawn
     cells: tuple[tuple[int, int, Group], ...]
-    bins: int
-    half_m: float
+    bins: int  # cells along an edge
+    half_m: float  # half an edge of the whole map
 
 
 def group(label: str, rows: Sequence[Row]) -> Group:

@@ -26,40 +26,20 @@ MARKUP = 700
 
 @dataclass(frozen=True, slots=True)
 class Card:
-    """An episode to look at.
+    """An episode to look at."""
 
-    Attributes
-    ----------
-    label, rank
-        As in ``Chosen``.
-    scenario, step : str
-        The step that is shown is named in words.
-    facts : sequence of (name, value)
-    take : Take or None
-        None where nothing could be played again.
-    photographs : Photographs or None
-    action_map, score_map : str or None
-        ``data:`` addresses.
-    agreement : str
-        Of this machine with the record; see ``film.agreement``. Empty where nothing was played again.
-    again : str
-        How the step ended this time.
-    left_out : sequence of str
-        Pictures that there was no room for.
-    """
-
-    label: str
+    label: str  # this and ``rank`` as in ``Chosen``
     rank: int
     scenario: str
-    step: str
+    step: str  # the step that is shown, in words
     facts: Sequence[tuple[str, str]]
-    take: Take | None = None
+    take: Take | None = None  # None where nothing could be played again
     photographs: Photographs | None = None
-    action_map: str | None = None
+    action_map: str | None = None  # this and ``score_map`` are ``data:`` addresses
     score_map: str | None = None
-    agreement: str = ""
-    again: str = ""
-    left_out: Sequence[str] = field(default=())
+    agreement: str = ""  # of this machine with the record (``film.agreement``); empty where nothing was played again
+    again: str = ""  # how the step ended this time
+    left_out: Sequence[str] = field(default=())  # pictures that there was no room for
 
 
 def make_cards(run: Run, scenarios: Sequence[Scenario], chosen: Sequence[Chosen], progress: Progress) -> list[Card]:

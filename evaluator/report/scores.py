@@ -34,13 +34,10 @@ _SAID = 1000  # characters of what it printed
 
 @dataclass(frozen=True, slots=True)
 class Scored:
-    """Scores of one question.
+    """Scores of one question."""
 
-    ``chosen`` is that of the recorded action, ``best`` (float32, 64 x 64) the highest of every place over its valid
-    angles, NaN where none is valid.
-    """
-
-    chosen: float
+    chosen: float  # of the recorded action
+    # float32 (64, 64): the highest of every place over its valid angles; NaN: none is valid
     best: npt.NDArray[np.float32]
 
 
@@ -78,7 +75,7 @@ def ask_scores(
 ) -> list[Scored]:
     """Scores of some situations and of the actions that were taken in them.
 
-    ``run`` is the folder whose outcomes the policy must not see; ``note`` is told the isolation level. A
+    ``run`` is the folder whose outcomes the policy must not see; ``note`` gets the isolation level. Raises
     SubmissionError where the policy cannot be loaded, has no maps, or gave something else.
     """
     by_step: dict[tuple[str, int], list[int]] = {}
@@ -121,10 +118,7 @@ def _no_maps(host: PolicyHost, why: str) -> SubmissionError:
 
 
 def calibration(rows: Sequence[Row], step: int, scores: Sequence[float]) -> list[Bin]:
-    """Scores against success: groups of about equal size, from the lowest scores to the highest.
-
-    ``scores`` are shares in 0..1, one a row, of ``step``, whose success counts. Empty where there are no rows.
-    """
+    """Success of ``step`` against ``scores`` (0..1, one a row), in groups of about equal size, lowest scores first."""
     if not rows:
         return []
     values = np.array(scores)

@@ -15,14 +15,10 @@ SUCCESS = "success"
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """An episode of the gallery.
+    """An episode of the gallery."""
 
-    ``label`` is ``success`` or the failure label, ``rank`` the position among the chosen ones of the label, from 0, and
-    ``row`` that of the results table.
-    """
-
-    label: str
-    rank: int
+    label: str  # ``success`` or the failure label
+    rank: int  # position among the chosen ones of the label, from 0
     row: Row
 
 

@@ -42,55 +42,27 @@ _SECTIONS = {
 
 @dataclass(frozen=True, slots=True)
 class ReportOptions:
-    """What goes into a page.
+    """What goes into a page."""
 
-    Attributes
-    ----------
-    per_label : int
-        Episodes of the gallery of every label, at most; 0 for no gallery.
-    limit_bytes : int
-        Of the page: pictures are left out, animations first, where it would be larger.
-    policy : PolicySpec or None
-        The policy of the run, to be asked for its scores.
-    checkpoint, device, sandbox
-        As for ``rema evaluate``.
-    scored : int
-        Episodes whose scores are compared with their outcomes.
-    """
-
-    per_label: int = 3
-    limit_bytes: int = 15_000_000
-    policy: PolicySpec | None = None
-    checkpoint: Path | None = None
+    per_label: int = 3  # episodes of the gallery of every label, at most; 0 for no gallery
+    limit_bytes: int = 15_000_000  # of the page: pictures are left out, animations first, where it would be larger
+    policy: PolicySpec | None = None  # the policy of the run, to be asked for its scores
+    checkpoint: Path | None = None  # this, ``device`` and ``sandbox`` as for ``rema evaluate``
     device: str = "cpu"
-    scored: int = 200
+    scored: int = 200  # episodes whose scores are compared with their outcomes
     sandbox: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class WrittenReport:
-    """A page on the disk.
-
-    Attributes
-    ----------
-    path : Path
-    size : int
-        Bytes.
-    shown, scored : int
-        Episodes of the gallery, and of the calibration.
-    agreement : mapping of str to int
-        How many of the episodes that were played again were ``identical``, had the ``same label``, or were
-        ``different``.
-    left_out : int
-        Pictures that there was no room for.
-    """
+    """A page on the disk."""
 
     path: Path
-    size: int
-    shown: int
-    agreement: Mapping[str, int]
-    scored: int
-    left_out: int
+    size: int  # bytes
+    shown: int  # episodes of the gallery
+    agreement: Mapping[str, int]  # how many replayed episodes were ``identical``, ``same label`` or ``different``
+    scored: int  # episodes of the calibration
+    left_out: int  # pictures that there was no room for
 
 
 def write_report(
@@ -98,23 +70,9 @@ def write_report(
 ) -> WrittenReport:
     """Write the page of a finished run: the same bytes for the same run on the same installation.
 
-    Parameters
-    ----------
-    run : Path
-        Run folder of ``rema evaluate``.
-    output : Path, optional
-        ``report.html`` in the run folder by default.
-    options : ReportOptions, optional
-    progress : Progress, optional
-
-    Raises
-    ------
-    MissingFileError, InputError, IntegrityError
-        As ``read_run``; weights are missing; the extra ``report`` is not installed.
-    RunMismatchError
-        The policy that was named is not the one of the run.
-    SubmissionError
-        The policy gives no maps.
+    ``output`` is ``report.html`` in the run folder by default. Raises what ``read_run`` raises, MissingFileError
+    without the weights, InputError without the extra ``report``, RunMismatchError where the policy is not that of the
+    run, and SubmissionError where the policy gives no maps.
     """
     options, progress = options or ReportOptions(), progress or Silent()
     finished = read_run(run)

@@ -35,17 +35,11 @@ _IDENTITY = ("task", "split", "protocol", "policy_digest", "protocol_hash", "sce
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Something that is not as it was sealed, or not true.
+    """Something that is not as it was sealed, or not true."""
 
-    Attributes
-    ----------
-    file, where, detail : str
-        Name in the run folder; row, field or column (empty for the whole file); and what is wrong.
-    """
-
-    file: str
-    where: str
-    detail: str
+    file: str  # name in the run folder
+    where: str  # row, field or column; empty for the whole file
+    detail: str  # what is wrong
 
     def __str__(self) -> str:
         return " ".join(part for part in (self.file, self.where, self.detail) if part)
@@ -53,31 +47,17 @@ class Finding:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunFiles:
-    """A run as it lies in its folder. What cannot be read is None, and a finding says why.
+    """A run as it lies in its folder. What cannot be read is None, and a finding says why."""
 
-    Attributes
-    ----------
-    header, payload
-        Content of ``run.json``, and its bytes.
-    table, stored : pyarrow.Table or None
-        The results table; and the same without the columns that are newer than the file.
-    counts : Counts or None
-        Of the table.
-    actions : uint16 (episodes, steps) or None
-        ``actions.bin``, or the table's own actions where the file changed. Only read if rows are compared.
-    summary : dict or None
-    findings : tuple of Finding
-        Empty where everything is as it was sealed, and the files agree.
-    """
-
-    header: dict[str, Any]
-    payload: bytes
-    table: pa.Table | None = None
-    stored: pa.Table | None = None
-    counts: Counts | None = None
+    header: dict[str, Any]  # content of ``run.json``
+    payload: bytes  # its bytes
+    table: pa.Table | None = None  # the results table
+    stored: pa.Table | None = None  # the same without the columns that are newer than the file
+    counts: Counts | None = None  # of the table
+    # (episodes, steps) of ``actions.bin``, or the table's where that changed; only if rows are compared
     actions: npt.NDArray[np.uint16] | None = None
     summary: dict[str, Any] | None = None
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[Finding, ...] = ()  # empty where everything is as it was sealed, and the files agree
 
     @property
     def sealed(self) -> bool:

@@ -32,29 +32,15 @@ class FunnelStep:
 
 @record
 class Counts:
-    """The counts behind a rate.
+    """The counts behind a rate."""
 
-    Attributes
-    ----------
-    episodes, eligible, successes : int
-        Scenarios of the run; those that were measured, which are the denominator; those that succeeded.
-    failures : dict of str -> int
-        Failed episodes by label.
-    policy_errors : int
-        Failures without a valid answer: in the denominator.
-    infra_errors : int
-        Episodes lost to the infrastructure: not in the denominator.
-    funnel : tuple of FunnelStep
-        Of the steps in which the policy acts.
-    """
-
-    episodes: NonNegativeInt
-    eligible: NonNegativeInt
+    episodes: NonNegativeInt  # scenarios of the run
+    eligible: NonNegativeInt  # measured: the denominator
     successes: NonNegativeInt
-    failures: dict[str, NonNegativeInt]
-    policy_errors: NonNegativeInt
-    infra_errors: NonNegativeInt
-    funnel: tuple[FunnelStep, ...]
+    failures: dict[str, NonNegativeInt]  # failed episodes by label
+    policy_errors: NonNegativeInt  # failures without a valid answer: in the denominator
+    infra_errors: NonNegativeInt  # lost to the infrastructure: not in the denominator
+    funnel: tuple[FunnelStep, ...]  # of the steps in which the policy acts
 
     @property
     def rate(self) -> float | None:
@@ -106,10 +92,7 @@ def count_rows(table: pa.Table, steps: Sequence[int]) -> Counts:
 
 
 def summary_numbers(counts: Counts, table: pa.Table) -> dict[str, Any]:
-    """What ``summary.json`` says about the rows of a results table, ready for JSON.
-
-    ``success_rate`` and ``ci95`` are null where no episode is eligible; ``failures`` begin with the most common.
-    """
+    """What ``summary.json`` says about the rows, ready for JSON; rate and ``ci95`` are null if no episode is eligible."""
     numbers = {
         "episodes": counts.episodes,
         "eligible": counts.eligible,

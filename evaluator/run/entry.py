@@ -153,10 +153,7 @@ def _unpack(text: str, count: int) -> npt.NDArray[np.bool_]:
 def read_entry(path: Path) -> Run:
     """A run from its submission file, whose seal and counts were checked.
 
-    Raises
-    ------
-    MissingFileError, IntegrityError
-        There is no such file; or it is not a submission, has a newer format, a broken seal, or wrong counts.
+    Raises MissingFileError, or IntegrityError: no submission, a newer format, a broken seal, or wrong counts.
     """
     if not path.is_file():
         raise MissingFileError(f"{path} does not exist", hint="check the path", path=str(path))

@@ -62,10 +62,7 @@ def _processor() -> str:
 
 
 def code_commit() -> dict[str, Any]:
-    """Commit of the checkout that this code runs from or its wheel was built in, and whether that was changed.
-
-    Null where neither is known.
-    """
+    """Commit of the checkout or wheel that this code runs from, and whether that was changed; null where unknown."""
     root = Path(__file__).resolve().parents[2]
     if (root / ".git").exists():
         try:
@@ -88,10 +85,7 @@ def _git(root: Path, *arguments: str) -> str:
 
 
 def source_digest(*names: str) -> str:
-    """Sha256 over the names and contents of every Python file of packages and modules, hexadecimal.
-
-    Only the packages that they lie in are imported.
-    """
+    """Sha256 (hex) over names and contents of the Python files of packages and modules; imports only their packages."""
     total = hashlib.sha256()
     for found in filter(None, map(find_spec, names)):
         folders = [Path(folder) for folder in sorted(found.submodule_search_locations or ())]

@@ -39,14 +39,9 @@ _FILES = (RUN_FILE, RESULTS_FILE, ACTIONS_FILE, LEAVES_FILE, TIMINGS_FILE, SUMMA
 
 @contextmanager
 def locked(folder: Path, hint: str, *, only_reading: bool = False) -> Iterator[None]:
-    """Hold a run folder for this process alone.
+    """Hold a run folder for this process alone; an InputError with ``hint`` where another process holds it.
 
     A reader (``only_reading``) of a folder that cannot be written continues without the lock.
-
-    Raises
-    ------
-    InputError
-        Another process holds it; ``hint`` says what to do then.
     """
     lock = FileLock(folder / _LOCK_FILE, timeout=0)
     try:
@@ -111,22 +106,12 @@ class RunFolder:
     def locked(path: Path, identity: Mapping[str, Any], episodes: int) -> Iterator[RunFolder]:
         """Open the folder of a run for this process alone; create it where it is missing.
 
-        A folder without records and results is taken over. What a killed process left half-written is deleted.
+        ``identity`` is everything that two processes must share to write in one folder, ready for JSON; more
+        ``episodes`` extend the run. A folder without records and results is taken over. What a killed process left
+        half-written is deleted.
 
-        Parameters
-        ----------
-        path : Path
-        identity : mapping
-            Everything that two processes must share to write in one folder, ready for JSON.
-        episodes : int
-            At least as many as the run has; more extend it.
-
-        Raises
-        ------
-        RunMismatchError
-            The folder belongs to another run; the message names the field and both values.
-        InputError
-            Another process is writing in it, or it holds records without a ``run.json``.
+        Raises RunMismatchError (naming field and both values) where the folder belongs to another run, InputError where
+        another process writes in it or it holds records without a ``run.json``.
         """
         with storage_errors(path):
             path.mkdir(parents=True, exist_ok=True)

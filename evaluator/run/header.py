@@ -123,10 +123,7 @@ def encode_header(header: dict[str, Any]) -> str:
 
 
 def read_header(folder: Path) -> tuple[dict[str, Any], bytes]:
-    """Content of a run's ``run.json``, and its bytes.
-
-    A MissingFileError if there is no such file, an IntegrityError if it is not a run header, or one of a newer format.
-    """
+    """Content of a run's ``run.json``, and its bytes. IntegrityError: not a run header, or of a newer format."""
     path = folder / RUN_FILE
     if not path.is_file():
         raise MissingFileError(
@@ -146,10 +143,7 @@ def read_header(folder: Path) -> tuple[dict[str, Any], bytes]:
 
 
 def check_format(content: Any, newest: int, path: Path) -> None:
-    """Raise an IntegrityError, which names the version of rema that is needed, where a file has a newer format.
-
-    ``newest`` is the newest format that this version reads; it reads every earlier one.
-    """
+    """Raise an IntegrityError that names the version of rema to install, where a file's format is above ``newest``."""
     number = content.get("format") if isinstance(content, dict) else None
     if type(number) is int and number > newest:
         try:

@@ -39,13 +39,7 @@ def merkle_root(leaves: Sequence[bytes]) -> bytes:
 
 
 def merkle_proof(leaves: Sequence[bytes], position: int) -> list[bytes]:
-    """The neighbours on the way from a leaf to the root, from the bottom up.
-
-    Raises
-    ------
-    IndexError
-        There is no such leaf.
-    """
+    """The neighbours on the way from a leaf to the root, from the bottom up. Raises IndexError without such a leaf."""
     if not 0 <= position < len(leaves):
         raise IndexError(f"leaf {position} of {len(leaves)}")
     level, path = list(leaves), []
@@ -58,17 +52,7 @@ def merkle_proof(leaves: Sequence[bytes], position: int) -> list[bytes]:
 
 
 def root_of_proof(leaf: bytes, position: int, count: int, path: Sequence[bytes]) -> bytes | None:
-    """The root that a proof leads to, to be compared with a trusted one; None where it cannot be a proof.
-
-    Parameters
-    ----------
-    leaf : bytes
-        Hash of the entry.
-    position, count : int
-        Of the entry, and of all entries.
-    path : sequence of bytes
-        From ``merkle_proof``.
-    """
+    """Root that a proof (``path``) leads to, to be compared with a trusted one; None where it cannot be a proof."""
     if not 0 <= position < count:
         return None
     above = list(reversed(path))

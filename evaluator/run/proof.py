@@ -17,21 +17,9 @@ _FORMAT = "rema episode proof 1"
 
 
 def make_proof(folder: Path, episode: int) -> dict[str, Any]:
-    """The row of an episode and its way to the root, ready for JSON.
+    """The row of an episode (position in the scenario list) of a sealed run and its way to the root, ready for JSON.
 
-    Parameters
-    ----------
-    folder : Path
-        Of a sealed run.
-    episode : int
-        Position in the scenario list.
-
-    Raises
-    ------
-    InputError
-        The run has no such episode.
-    MissingFileError, IntegrityError
-        There is no sealed run, or its rows are not what was sealed.
+    Raises InputError without such an episode, MissingFileError or IntegrityError without a sealed, unchanged run.
     """
     run = read_run(folder, with_findings=True)
     if any(finding.file in (RUN_FILE, run.results_path.name) for finding in run.findings):
@@ -50,21 +38,10 @@ def make_proof(folder: Path, episode: int) -> dict[str, Any]:
 
 
 def check_proof(proof: Any, root: str) -> dict[str, Any]:
-    """The row that a proof is about, after it was found to be under ``root``.
+    """The row that a proof from ``make_proof`` is about, after it was found to be under ``root``.
 
-    Parameters
-    ----------
-    proof : object
-        From ``make_proof``, read back from JSON.
-    root : str
-        Root of the run, hexadecimal, from a source that is trusted: not from the proof itself.
-
-    Raises
-    ------
-    InputError
-        It is not a proof.
-    IntegrityError
-        The row is not under the root.
+    ``root`` is hexadecimal and from a source that is trusted: not from the proof itself. Raises InputError where it is
+    not a proof, IntegrityError where the row is not under the root.
     """
     try:
         if proof["format"] != _FORMAT:

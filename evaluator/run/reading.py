@@ -21,9 +21,9 @@ __all__ = ["read_run"]
 def read_run(path: Path, *, with_findings: bool = False) -> Run:
     """A run, from its folder or from its submission file; see ``evaluator.read_run``.
 
-    ``with_findings`` is for replays and submissions, which report everything: the folder must be sealed, every row is
-    compared with its seal, and a run that changed is returned with its ``findings``. Without it, such a run is an
-    IntegrityError that names files, fields and rows.
+    ``with_findings`` is for replays and submissions: the folder must be sealed, every row is compared with its seal,
+    and a run that changed is returned with its ``findings``. Without it, such a run is an IntegrityError that names
+    files, fields and rows.
     """
     if path.is_file():
         entry = read_entry(path)

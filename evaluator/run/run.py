@@ -37,94 +37,46 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """What was evaluated, by which rules, on what, and with what.
+    """What was evaluated, by which rules, on what, and with what."""
 
-    Attributes
-    ----------
-    policy_digest, protocol_hash, scenarios_hash : str
-        Two runs compare where the two hashes agree.
-    fingerprint : dict of str -> str
-        Of the simulator. Where it differs, two runs may differ because of the simulator.
-    environment : dict
-        Versions, commit, machine and engine, as plain values, for people.
-    merkle_root, seal : str
-        Of the run folder; empty where it has no seal.
-    """
-
-    policy_digest: str
+    policy_digest: str  # two runs compare where the next two hashes agree
     protocol_hash: str
     scenarios_hash: str
-    fingerprint: Mapping[str, str]
+    fingerprint: Mapping[str, str]  # of the simulator; where it differs, two runs may differ because of it
+    # versions, commit, machine and engine, as plain values, for people
     environment: Mapping[str, Any] = field(default_factory=dict)
-    merkle_root: str = ""
+    merkle_root: str = ""  # this and ``seal`` are of the run folder; empty where it has no seal
     seal: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcomes:
-    """Scenario by scenario, in the order of the list.
+    """Scenario by scenario, in the order of the list."""
 
-    Attributes
-    ----------
-    eligible : bool (N,)
-        Measured.
-    success : bool (N,)
-        False where it was not measured.
-    """
-
-    eligible: npt.NDArray[np.bool_]
-    success: npt.NDArray[np.bool_]
+    eligible: npt.NDArray[np.bool_]  # (N,), measured
+    success: npt.NDArray[np.bool_]  # (N,), False where it was not measured
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Run:
-    """One policy on one scenario list. ``evaluator.read_run`` makes it.
+    """One policy on one scenario list. ``evaluator.read_run`` makes it."""
 
-    Attributes
-    ----------
-    source : Path
-        Run folder or submission file.
-    policy : str
-    privileged : bool
-        The policy saw the ground truth.
-    task, split, protocol : str
-    provenance : Provenance
-    audit : Audit or None
-        None where nothing was repeated.
-    stopped_early : bool
-        A quick run, not a full one.
-    unfinished : int
-        Episodes without a result though they could be played: 0 unless the run was interrupted.
-    nondeterministic : int
-        Steps that had two different outcomes.
-    isolation : str
-        Lowest isolation level of the policy's sandbox; empty where it was not recorded.
-    link : str
-        Where to read about the policy; empty for run folders.
-    findings : tuple of Finding
-        What changed since the run was sealed, or contradicts another file. Empty unless the reader asked for findings.
-    files : RunFiles or None
-        Content of the run folder; None for a submission.
-    packed : (Counts, Outcomes) or None
-        What a submission holds in place of a table; None for a folder.
-    """
-
-    source: Path
+    source: Path  # run folder or submission file
     policy: str
-    privileged: bool
+    privileged: bool  # the policy saw the ground truth
     task: str
     split: str
     protocol: str
     provenance: Provenance
-    audit: Audit | None
-    stopped_early: bool = False
-    unfinished: int = 0
-    nondeterministic: int = 0
-    isolation: str = ""
-    link: str = ""
-    findings: tuple[Finding, ...] = ()
-    files: RunFiles | None = None
-    packed: tuple[Counts, Outcomes] | None = None
+    audit: Audit | None  # None where nothing was repeated
+    stopped_early: bool = False  # a quick run, not a full one
+    unfinished: int = 0  # episodes without a result though they could be played: 0 unless interrupted
+    nondeterministic: int = 0  # steps that had two different outcomes
+    isolation: str = ""  # lowest level of the policy's sandbox; empty where it was not recorded
+    link: str = ""  # where to read about the policy; empty for run folders
+    findings: tuple[Finding, ...] = ()  # what changed since the seal or contradicts; empty unless the reader asked
+    files: RunFiles | None = None  # content of the run folder; None for a submission
+    packed: tuple[Counts, Outcomes] | None = None  # what a submission holds in place of a table; None for a folder
 
     @property
     def kind(self) -> Literal["run", "entry"]:
@@ -140,10 +92,7 @@ class Run:
 
     @property
     def tag(self) -> str:
-        """The kind of an installed policy, as its package says, or ``submitted``.
-
-        A policy that saw the ground truth is always ``privileged``.
-        """
+        """The kind of an installed policy, or ``submitted``; always ``privileged`` if it saw the ground truth."""
         kind = kind_of(self.policy)
         return "privileged" if self.privileged or kind in PRIVILEGED_KINDS else kind or "submitted"
 

@@ -24,20 +24,9 @@ _SSH_PUBLIC = b"ssh-ed25519 "
 
 
 def read_private_key(path: Path, ask: Callable[[], str] | None = None) -> Ed25519PrivateKey:
-    """The key in a PEM (PKCS #8) or OpenSSH file.
+    """The key in a PEM (PKCS #8) or OpenSSH file; ``ask`` is called for the passphrase of an encrypted one.
 
-    Parameters
-    ----------
-    path : Path
-    ask : callable, optional
-        Called for the passphrase of an encrypted key.
-
-    Raises
-    ------
-    MissingFileError
-        There is no such file.
-    InputError
-        It holds no Ed25519 private key, its passphrase is another one, or ``cryptography`` is not installed.
+    Raises MissingFileError, or InputError: no Ed25519 private key, another passphrase, or no ``cryptography``.
     """
     _need_cryptography()
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -60,12 +49,7 @@ def read_private_key(path: Path, ask: Callable[[], str] | None = None) -> Ed2551
 def read_public_key(path: Path) -> Ed25519PublicKey:
     """The key in a PEM or OpenSSH (``ssh-ed25519 ...``) file.
 
-    Raises
-    ------
-    MissingFileError
-        There is no such file.
-    InputError
-        It holds no Ed25519 public key, or ``cryptography`` is not installed.
+    Raises MissingFileError, or InputError: no Ed25519 public key, or no ``cryptography``.
     """
     _need_cryptography()
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey

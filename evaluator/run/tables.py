@@ -59,22 +59,12 @@ _NAMED = 5
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The result of an episode.
+    """The result of an episode."""
 
-    Attributes
-    ----------
-    success : bool or None
-        None where it was not measured: not eligible, not finished, or lost to the infrastructure.
-    failure : Failure or None
-    failed_step : int or None
-    infra_error : str or None
-        Why there is no measurement.
-    """
-
-    success: bool | None
+    success: bool | None  # None: not measured (not eligible, not finished, or lost to the infrastructure)
     failure: Failure | None = None
     failed_step: int | None = None
-    infra_error: str | None = None
+    infra_error: str | None = None  # why there is no measurement
 
 
 def verdict(index: int, steps: Sequence[int], records: Records) -> Verdict:

@@ -1,8 +1,4 @@
-"""One evaluation: ``run_evaluation`` takes a policy through observe, infer and simulate.
-
-Read in this order: ``config`` (what is asked), ``run`` (the loop), ``questions`` and ``observation_cache``,
-``audit`` (1 % again), ``finalize`` (tables, summary, seal), ``shards`` and ``merge``, ``quick``.
-"""
+"""One evaluation: ``run_evaluation`` takes a policy through observe, infer and simulate."""
 
 from __future__ import annotations
 

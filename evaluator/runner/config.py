@@ -22,25 +22,11 @@ ORDERS = ("shuffled", "forward", "reverse")
 
 @dataclass(frozen=True, slots=True)
 class EvaluationConfig:
-    """One evaluation: the arguments of ``evaluator.evaluate``, resolved; an InputError where a value is not allowed.
-
-    Attributes
-    ----------
-    policy : PolicySpec
-    task : str
-    output : Path
-        Run folder; an existing one is resumed.
-    checkpoint, device, protocol, split, episodes, engine, workers, address, shard, batch_size, sandbox
-        As for ``evaluator.evaluate``. Batches are fixed by scenario order, also after a resume.
-    order : {"shuffled", "forward", "reverse"}
-        In which order scenarios are simulated. No result depends on it; an interrupted shuffled run is unbiased.
-    audit_share : float
-        Share of the episodes that is repeated at the end (``AUDIT_LEAST`` at least); 0 repeats none.
-    """
+    """One evaluation: the arguments of ``evaluator.evaluate``, resolved; an InputError where a value is not allowed."""
 
     policy: PolicySpec
     task: str
-    output: Path
+    output: Path  # run folder; an existing one is resumed
     checkpoint: Path | None = None
     device: str = "cpu"
     protocol: str = "conditional"
@@ -48,8 +34,10 @@ class EvaluationConfig:
     episodes: int = 10_000
     engine: str = "process"
     workers: int | None = None
-    batch_size: int = 64
+    batch_size: int = 64  # batches are fixed by scenario order, also after a resume
+    # of simulation: shuffled, forward or reverse. No result depends on it; an interrupted shuffled run is unbiased
     order: str = "shuffled"
+    # share of the episodes that is repeated at the end (``AUDIT_LEAST`` at least); 0 repeats none
     audit_share: float = AUDIT_SHARE
     sandbox: str | None = None
     address: str | None = None

@@ -30,26 +30,12 @@ __all__ = ["merge_runs"]
 
 
 def merge_runs(shards: Sequence[Path], output: Path) -> EvaluationResult:
-    """Merge the shards of one run.
+    """Merge all shards of one run, in any order, into the new folder ``output``; the shards are not changed.
 
-    Parameters
-    ----------
-    shards : sequence of Path
-        Run folders of the same policy, task, protocol, scenario list and simulator, in any order. They are not changed.
-    output : Path
-        Folder of the whole run, which must not exist. It can be resumed, replayed and reported like any other.
-
-    Raises
-    ------
-    MissingFileError, IntegrityError
-        A folder holds no run, or a damaged one; or the scenario list is not the frozen one.
-    RunMismatchError
-        The runs do not belong together: the message names two folders and the field that differs.
-    InputError
-        The output exists; another process is writing in a shard; two shards hold the same scenario, or some scenarios
-        are in none.
-    InfrastructureError
-        More than 0.1 % of the episodes were lost, after everything is written.
+    Raises MissingFileError, IntegrityError (a folder holds no run or a damaged one, or the list is not frozen),
+    RunMismatchError (two folders do not belong together), InputError (the output exists, a shard is in use, scenarios
+    are missing or held twice), and InfrastructureError, after everything is written, where more than 0.1 % of the
+    episodes were lost.
     """
     if output.exists() and not (output.is_dir() and not any(output.iterdir())):
         raise InputError(f"{output} exists already", hint="choose another folder with --output", path=str(output))

@@ -32,21 +32,12 @@ _CHECKSUM, _SIZE = 32, 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
-    """Observations of N situations with U different end effectors.
+    """Observations of N situations with U different end effectors."""
 
-    Attributes
-    ----------
-    scenes : uint16 (N, 64, 64), depths : uint16 (U, 2, 112, 112)
-        0.1 mm.
-    masks : bool (U, 2, 112, 112)
-    which : uint32 (N,)
-        End-effector map of every observation.
-    """
-
-    scenes: npt.NDArray[np.uint16]
-    which: npt.NDArray[np.uint32]
-    depths: npt.NDArray[np.uint16]
-    masks: npt.NDArray[np.bool_]
+    scenes: npt.NDArray[np.uint16]  # (N, 64, 64), 0.1 mm
+    which: npt.NDArray[np.uint32]  # (N,), end-effector map of every observation
+    depths: npt.NDArray[np.uint16]  # (U, 2, 112, 112), 0.1 mm
+    masks: npt.NDArray[np.bool_]  # (U, 2, 112, 112)
 
     def __len__(self) -> int:
         """Number of observations N."""
@@ -59,10 +50,7 @@ class Block:
 
 
 class ObservationCache:
-    """Observations of situations, from disk where they are there already.
-
-    ``observe`` makes an Observation of a Situation; ``code`` identifies everything that it depends on.
-    """
+    """Observations of situations, from disk if there; ``code`` identifies all that ``observe`` depends on."""
 
     def __init__(self, root: Path, observe: Callable[[Situation], Observation], code: str) -> None:
         self._root = root

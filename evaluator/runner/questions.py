@@ -25,14 +25,10 @@ _BLOCK = 512
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """One question to the policy: ``rows`` of one ``block`` of the cache.
+    """One question to the policy: ``rows`` of one ``block`` of the cache."""
 
-    ``indices`` are those of the scenarios, in the order in which the policy is asked about them; the situations of the
-    block name it in the cache.
-    """
-
-    indices: tuple[int, ...]
-    block: tuple[Situation, ...]
+    indices: tuple[int, ...]  # of the scenarios, as the policy is asked
+    block: tuple[Situation, ...]  # names it in the cache
     rows: tuple[int, ...]
 
     @property
@@ -57,8 +53,7 @@ def batches(alive: Mapping[int, Situation], batch_size: int) -> list[Batch]:
 def shuffled(wanted: Sequence[Batch], salt: str) -> list[Batch]:
     """The same questions in an order that only the run knows: no policy can identify a scenario by counting.
 
-    Which scenarios share a question does not change. Batches of one block stay together. ``salt`` is drawn for the run,
-    and what is left of ``wanted`` after an interruption keeps its order.
+    Batches stay whole, and those of one block together. ``salt`` is drawn for the run; a resume keeps the order.
     """
 
     def rank(what: object) -> bytes:

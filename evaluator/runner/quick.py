@@ -37,16 +37,11 @@ def quick_evaluation(
 ) -> EvaluationResult:
     """Evaluate a policy until it is better or worse than a finished run, or ``config.episodes`` are played.
 
-    ``summary["stopped_early"]`` holds what the pairs tell: verdict, counts, and intervals that hold however often one
-    tests. Nothing is repeated (``audit`` is null).
+    ``summary["stopped_early"]`` holds verdict, counts, and intervals that hold however often one tests. Nothing is
+    repeated (``audit`` is null).
 
-    Raises
-    ------
-    InputError
-        The run in the folder ``against`` is of another task, split, protocol, protocol version or scenario list. Or the
-        output folder holds a full run, which would lose its rank.
-    RemaError
-        As ``run_evaluation``, and as ``read_run`` for ``against``.
+    Raises InputError where ``against`` was another evaluation or the output holds a full run, which would lose its
+    rank; and what ``run_evaluation`` and ``read_run`` raise.
     """
     backend = backend or default_backend()
     reference = read_run(against)

@@ -42,36 +42,16 @@ def run_evaluation(
     backend: Backend | None = None,
     look: Look | None = None,
 ) -> EvaluationResult:
-    """Evaluate a policy, or continue an evaluation that was interrupted.
+    """Evaluate a policy, or continue an evaluation that was interrupted: what the run folder records is not done again.
 
-    Parameters
-    ----------
-    config : EvaluationConfig
-        A run folder that exists is resumed: what is recorded there is neither asked nor simulated again.
-    progress : Progress, optional
-    backend : Backend, optional
-        The real world by default.
-    look : callable, optional
-        Makes of the results table what the summary says under ``stopped_early``: such a run has no rank.
+    ``backend`` is the real world by default. ``look`` makes of the results table what the summary says under
+    ``stopped_early``: such a run has no rank.
 
-    Raises
-    ------
-    InputError
-        More episodes than the list has; a folder that another process writes in.
-    MissingFileError, IntegrityError
-        The scenario list is not there, or not the frozen one; records are damaged.
-    RunMismatchError
-        The folder belongs to another policy, task, protocol, scenario list or simulator.
-    SubmissionError
-        The policy cannot be loaded.
-    PolicyFailureError
-        More than 10 % of its answers are faults. Everything recorded stays in the folder, with its tables.
-    InfrastructureError
-        More than 0.1 % of the episodes were lost, or a step had two different outcomes; after everything is written.
-    StorageError
-        The disk is full; run again when it is not.
-    KeyboardInterrupt
-        Workers are stopped; run again to continue.
+    Raises InputError (more episodes than the list has, or a folder in use), MissingFileError and IntegrityError (the
+    scenario list or the records), RunMismatchError (the folder belongs to another run), SubmissionError (the policy
+    cannot be loaded), StorageError (the disk is full), PolicyFailureError (more than 10 % faults; records and tables
+    stay in the folder) and InfrastructureError (more than 0.1 % lost, or a step had two different outcomes; after
+    everything is written). A KeyboardInterrupt stops the workers; run again to continue.
     """
     start = time.perf_counter()
     progress = progress or Silent()

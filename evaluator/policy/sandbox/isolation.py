@@ -27,37 +27,20 @@ NAMESPACES = ("mnt", "net", "pid")
 
 @dataclass(frozen=True, slots=True)
 class Restriction:
-    """One thing that the sandbox denies or limits.
-
-    Attributes
-    ----------
-    name : str
-    active : bool
-        Whether it was tried in the sandbox, and denied.
-    detail : str
-        By what; or why it is not denied.
-    """
+    """One thing that the sandbox denies or limits."""
 
     name: str
-    active: bool
-    detail: str
+    active: bool  # whether it was tried in the sandbox, and denied
+    detail: str  # by what; or why it is not denied
 
 
 @dataclass(frozen=True, slots=True)
 class Isolation:
-    """What the sandbox of a policy restricts.
+    """What the sandbox of a policy restricts."""
 
-    Attributes
-    ----------
-    level : {"L1", "L2", "L3"}
-    restrictions : tuple of Restriction
-    sandbox : str or None
-        The wrapper's command, as the user gave it.
-    """
-
-    level: str
+    level: str  # L1, L2 or L3
     restrictions: tuple[Restriction, ...]
-    sandbox: str | None = None
+    sandbox: str | None = None  # the wrapper's command, as the user gave it
 
     def to_dict(self) -> dict[str, Any]:
         """Ready for JSON: ``level``, ``sandbox``, and the active (``up``) and the other (``down``) restrictions."""

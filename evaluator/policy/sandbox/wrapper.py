@@ -26,13 +26,7 @@ _PLACE = re.compile(r"\{(\w+)\}")
 
 
 def check_sandbox(command: str | None) -> list[str]:
-    """The words of a wrapper's command; none for None.
-
-    Raises
-    ------
-    InputError
-        It cannot be split into words, names an unknown place, or its program is not installed.
-    """
+    """The words of a wrapper's command; none for None. Raises InputError for a command that cannot be used."""
     if command is None:
         return []
     try:
