@@ -26,9 +26,12 @@ __all__ = ["convert"]
 def convert(path: Path, output: Path | None = None, *, key: str | None = None, trust: bool = False) -> Path:
     """Write the tensors of a pickle of ``torch.save`` as safetensors, and return the path of the new file.
 
-    ``output`` must not exist; by default ``path`` with the suffix ``.safetensors``. ``key`` names the state dict where
-    there is more than one, and ``trust`` lets the pickle run code. Raises MissingFileError, StorageError (the output
-    cannot be written) or InputError.
+    ``output`` must not exist; by default it is ``path`` with the suffix ``.safetensors``. ``key`` names the state dict
+    where the file holds more than one, and ``trust`` says whether the pickle may run code.
+
+    Raises MissingFileError without the file, StorageError where the output cannot be written, and InputError where it
+    exists, where the pickle cannot be opened (or not without ``trust``), or where it has no state dict, or several and
+    no ``key``.
     """
     from safetensors.torch import save
 

@@ -92,7 +92,10 @@ def count_rows(table: pa.Table, steps: Sequence[int]) -> Counts:
 
 
 def summary_numbers(counts: Counts, table: pa.Table) -> dict[str, Any]:
-    """What ``summary.json`` says about the rows, ready for JSON; rate and ``ci95`` are null if no episode is eligible."""
+    """What ``summary.json`` says about the rows of a results table, ready for JSON.
+
+    ``success_rate`` and ``ci95`` are null where no episode is eligible; ``failures`` begin with the most common.
+    """
     numbers = {
         "episodes": counts.episodes,
         "eligible": counts.eligible,

@@ -123,7 +123,11 @@ def encode_header(header: dict[str, Any]) -> str:
 
 
 def read_header(folder: Path) -> tuple[dict[str, Any], bytes]:
-    """Content of a run's ``run.json``, and its bytes. IntegrityError: not a run header, or of a newer format."""
+    """Content of a run's ``run.json``, and its bytes.
+
+    Raises MissingFileError if there is no such file, IntegrityError if it is not a run header, or one of a newer
+    format.
+    """
     path = folder / RUN_FILE
     if not path.is_file():
         raise MissingFileError(

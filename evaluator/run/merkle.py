@@ -52,7 +52,10 @@ def merkle_proof(leaves: Sequence[bytes], position: int) -> list[bytes]:
 
 
 def root_of_proof(leaf: bytes, position: int, count: int, path: Sequence[bytes]) -> bytes | None:
-    """Root that a proof (``path``) leads to, to be compared with a trusted one; None where it cannot be a proof."""
+    """The root that a proof leads to, to be compared with a trusted one; None where it cannot be a proof.
+
+    ``leaf`` is the hash of the entry at ``position`` of ``count`` entries, ``path`` comes from ``merkle_proof``.
+    """
     if not 0 <= position < count:
         return None
     above = list(reversed(path))

@@ -39,8 +39,8 @@ _T = TypeVar("_T")
 class Provenance:
     """What was evaluated, by which rules, on what, and with what."""
 
-    policy_digest: str  # two runs compare where the next two hashes agree
-    protocol_hash: str
+    policy_digest: str
+    protocol_hash: str  # two runs compare where this and ``scenarios_hash`` agree
     scenarios_hash: str
     fingerprint: Mapping[str, str]  # of the simulator; where it differs, two runs may differ because of it
     # versions, commit, machine and engine, as plain values, for people

@@ -61,7 +61,10 @@ def _rank(index: int) -> bytes:
 def ask_again(
     policy: PolicyProcess, backend: Backend, wanted: Iterable[Repeat], batch_size: int, again: Ledger
 ) -> Iterator[int]:
-    """Ask a fresh policy in other batches than ``batch_size``; record in ``again``, yield the number just answered."""
+    """Ask a fresh policy about ``wanted``, in batches of another size than ``batch_size``; record in ``again``.
+
+    Yields the number of observations answered just now.
+    """
     size = next(size for size in _BATCHES if size != batch_size)
     by_step: dict[int, list[Repeat]] = {}
     for repeat in wanted:

@@ -18,7 +18,7 @@ class PolicyLimits:
     start_s: float = 120.0  # from the start of the process until the constructor returned
     batch_s: float = 60.0  # for one batch
     single_s: float = 20.0  # for one observation of a batch that failed, at most ``batch_s``
-    # all waiting for one host, at most, plus ``observation_s`` for every observation asked; the rest are time-outs
+    # for one host in all, plus ``observation_s`` for every observation asked; after that, each one is a time-out
     run_s: float = 600.0
     observation_s: float = 2.0
     log_head_bytes: int = 256 << 10  # kept of the beginning of what the policy prints
