@@ -107,9 +107,9 @@ def print_table(
     title: str = "",
     right: Collection[str] = (),
 ) -> None:
-    """Print a table, every row on one line; without titles it has no header. ``right`` names right-aligned columns.
+    """Print a table, every row on one line; ``right`` names the columns that are aligned to the right.
 
-    A row that is None is a gap between two rows, on a terminal.
+    A table whose titles are all empty has no header. A row that is None is a gap between two rows, on a terminal.
     """
     from rich import box
     from rich.table import Table

@@ -37,7 +37,7 @@ def engine_type(name: str) -> EngineType:
 
 
 def check_engine(name: str, workers: int | None = None, address: str | None = None) -> EngineType:
-    """The class of an engine. Raises InputError for an unknown name, ``workers`` below 1, or an address it cannot take."""
+    """The class of an engine. Raises InputError for an unknown name, ``workers`` below 1, or an address without use."""
     found = engine_type(name)
     if workers is not None and workers < 1:
         raise InputError(f"--workers {workers} is not a positive number", hint="give 1 or more", workers=workers)

@@ -20,10 +20,10 @@ _SHOWN = 2000  # characters
 
 
 class CappedOutput:
-    """A pipe for a process's stdout and stderr that never fills, and a log file that keeps ``head`` and ``tail`` bytes.
+    """A pipe for a process's stdout and stderr that never fills, and a log file that never grows large.
 
-    The file at ``path`` is created if anything is printed (None: memory only). What it held before stays in it, up to
-    the last ``head + tail`` bytes.
+    ``head`` and ``tail`` bytes are kept of the beginning and of the end. The log file at ``path`` is created if
+    anything is printed (None: memory only). What it held before stays in it, up to the last ``head + tail`` bytes.
     """
 
     def __init__(self, path: Path | None, head: int, tail: int) -> None:
@@ -103,7 +103,10 @@ class CappedOutput:
 
 
 def printable(text: object) -> str:
-    """Text of a policy, fit for terminal and record: short, no control characters or lone surrogates; else its type."""
+    """Text of a policy, fit for a terminal and for a record: no control characters, no lone surrogates, not long.
+
+    A value that is not text (a hostile policy writes its own replies) is shown as its type.
+    """
     text = text if isinstance(text, str) else f"({type(text).__name__})"
     text = text[:_SHOWN].encode(errors="backslashreplace").decode()
     return "".join(c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in text)

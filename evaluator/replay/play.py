@@ -198,7 +198,7 @@ class _Replay:
 
 
 def _world_differences(run: Run, fingerprint: dict[str, str], protocol_hash: str) -> dict[str, tuple[Any, Any]]:
-    """How simulator and protocol here differ from a run's: field to (recorded, here). Empty: a replay gives the same bits."""
+    """How simulator and protocol here differ from a run's: field to (recorded, here); empty where bits must agree."""
     known, here = decisive(run.provenance.fingerprint), decisive(fingerprint)
     pairs = {name: (known.get(name), here.get(name)) for name in sorted(known.keys() | here.keys())}
     pairs["protocol_hash"] = (run.provenance.protocol_hash, protocol_hash)

@@ -1,7 +1,7 @@
 """A hash tree over a list: one hash for all of it, and proofs that one entry is in it, log2(N) hashes long.
 
-The tree is that of RFC 6962 (Certificate Transparency): SHA-256, leaves and inner nodes told apart by a first byte, a
-last node without a neighbour moved up as it is.
+The tree is that of RFC 6962 (Certificate Transparency): SHA-256, leaves and inner nodes distinguished by a first byte,
+a last node without a neighbour moved up as it is.
 """
 
 from __future__ import annotations

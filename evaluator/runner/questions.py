@@ -27,7 +27,7 @@ _BLOCK = 512
 class Batch:
     """One question to the policy: ``rows`` of one ``block`` of the cache."""
 
-    indices: tuple[int, ...]  # of the scenarios, as the policy is asked
+    indices: tuple[int, ...]  # of the scenarios, in the order in which the policy is asked about them
     block: tuple[Situation, ...]  # names it in the cache
     rows: tuple[int, ...]
 
