@@ -49,10 +49,7 @@ class _Behaviour(NamedTuple):
 
 
 class BehaviourPolicies:
-    """The policies of some blocks, each in a process of its own, alive from ``start`` to ``close``.
-
-    Their output goes to files in ``logs``; ``digests`` has the digest of each.
-    """
+    """Processes of some blocks' policies, alive from ``start`` to ``close``, and the ``digests``; output is in ``logs``."""
 
     def __init__(self, blocks: Sequence[BlockPlan], backend: Backend, logs: Path) -> None:
         self._uses = {block.key: block.policies for block in blocks}
