@@ -49,7 +49,10 @@ class _Behaviour(NamedTuple):
 
 
 class BehaviourPolicies:
-    """Processes of some blocks' policies, alive from ``start`` to ``close``, and the ``digests``; output is in ``logs``."""
+    """The policies of some blocks, each in a process, alive from ``start`` to ``close``, with their ``digests``.
+
+    Their output goes to files in ``logs``.
+    """
 
     def __init__(self, blocks: Sequence[BlockPlan], backend: Backend, logs: Path) -> None:
         self._uses = {block.key: block.policies for block in blocks}

@@ -22,7 +22,7 @@ class TrainingConfig:
 
     primitive: Literal["grasp", "push"]
     tasks: Annotated[tuple[str, ...], Field(min_length=1)]  # whose steps with this primitive are used
-    # of these steps, those of some skills only; all where empty. A tool pick has the skill ``grasp``
+    # only the steps of these skills; of all where it is empty. A tool pick has the skill ``grasp``
     skills: tuple[str, ...] = ()
     updates: Positive = 160_000  # steps of the optimiser
     batch_size: Positive = 8  # samples of a step, balanced over skill and success (paper: 8)
@@ -33,8 +33,8 @@ class TrainingConfig:
     on_empty: Literal["raise", "renormalise"] = "raise"
     rotate: bool = True  # augment grasps by rotation, where it is valid
     mirror: bool = True  # augment pushes by mirror images, where it is valid
-    # Of the initial weights, the draws and the augmentations.
-    seed: Annotated[int, Field(ge=0, lt=2**63 - 1)] = 0  # torch takes the next number, too, and none beyond 63 bits
+    # of the initial weights, the draws and the augmentations; torch takes the next number, too, and none beyond 63 bits
+    seed: Annotated[int, Field(ge=0, lt=2**63 - 1)] = 0
     validate_every: Positive = 2_000  # updates between two validations
     validation_steps: Annotated[int, Field(ge=2)] = 1_000  # scored, half of them successes if there are as many
     architecture: Architecture = field(default_factory=Architecture)

@@ -20,10 +20,10 @@ YAW_BINS = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Targets:
-    """The objects that the last step is about, scenario by scenario."""
+    """The objects that the last step is about, scenario by scenario; arrays (N,)."""
 
-    shape: npt.NDArray[np.str_]  # (N,)
-    length_m: npt.NDArray[np.float64]  # (N,), of the main bar, as the next two
+    shape: npt.NDArray[np.str_]
+    length_m: npt.NDArray[np.float64]  # of the main bar, as the next two
     width_m: npt.NDArray[np.float64]
     yaw_rad: npt.NDArray[np.float64]  # in the world frame
 

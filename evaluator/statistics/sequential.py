@@ -142,7 +142,7 @@ class QuickResult:
     pairs: int
     only_ours: int
     only_reference: int
-    decided_at: int | None  # pairs after which the verdict was reached
+    decided_at: int | None  # pairs after which the verdict was reached; None while undecided
     p_value: float  # anytime-valid: 1 over the largest evidence seen
     rate: float  # ours; NaN without a pair
     rate_interval: tuple[float, float]  # at confidence ``1 - alpha``
