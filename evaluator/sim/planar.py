@@ -63,7 +63,7 @@ def gap(first: Iterable[Rect], second: Sequence[Rect]) -> float:
 def paint(image: npt.NDArray[Any], rect: Rect, value: float, half_m: float) -> None:
     """Set the pixels whose centres lie inside ``rect`` to at least ``value``, in place.
 
-    ``image`` (n, n) is centred on the frame's origin, rows along y and columns along x; ``half_m`` is half its edge.
+    ``image`` (n, n) is centred on the frame's origin, rows along y, columns along x; its edge is 2 ``half_m`` metres.
     """
     pixels = image.shape[0]
     x_low, x_high = rect.extent(0.0)
