@@ -56,8 +56,8 @@ def train(
 
     Raises the errors of ``open_data``; InputError where another process runs this training, or the device or name
     cannot be used; RunMismatchError where the folder holds another training of the name; StorageError where the disk
-    is full; DivergedError where a loss, weight or answer is not finite: the best weights so far are kept in ``folder /
-    "diverged"`` and the training does not count as done.
+    is full; DivergedError where a loss, weight or answer is not finite: the best weights so far are kept in the folder
+    ``diverged`` below ``folder``, and the training does not count as done.
     """
     check_network_name(name)
     where = training_device(device)

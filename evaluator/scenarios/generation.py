@@ -90,9 +90,9 @@ def write_lists(
     """Write a new version of the scenario lists and its manifest; a list that the manifest names is never changed.
 
     ``version`` is a folder under ``manifests/scenarios``; ``counts`` has the scenarios of each split, by default
-    ``COUNTS``; ``picker`` picks the tools, by default the privileged reference policy. With a picker, the new manifest
-    names the present lists of the tasks without tools and of those in ``keep``; they are not written again. A file that
-    no manifest names was left by a killed process: its list is drawn again.
+    ``COUNTS``; ``picker`` picks the tools, by default the privileged reference policy. The new manifest names
+    the present lists of the tasks in ``keep`` and, with a picker, of those without tools; they are not written again. A
+    file that no manifest names was left by a killed process: its list is drawn again.
 
     Returns the manifest's path. Raises InputError for an unknown task or a count below 1, IntegrityError where the
     manifest cannot be read, or a list that it names is gone and drawing it again gives another, and StorageError where
