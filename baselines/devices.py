@@ -25,13 +25,7 @@ _OPENVINO = "openvino"
 
 
 def training_device(name: str) -> torch.device:
-    """The device of torch that a name means, tried out.
-
-    Raises
-    ------
-    InputError
-        There is no such device on this machine, or nothing can be computed on it.
-    """
+    """The device of torch that a name means, tried out; InputError where it is not there or cannot compute."""
     import torch
 
     try:

@@ -55,17 +55,9 @@ def collect(
     ``backend`` is the real world by default. ``chunk_episodes`` are committed together; a policy is asked about one
     chunk at a time, so this number is part of the identity of a collection.
 
-    Raises
-    ------
-    RunMismatchError
-        There is another release of that name, here or among the published ones, or episodes of another plan.
-    InputError
-        Another process is collecting it, the parent does not have a round, or a policy needs OpenVINO, which is not
-        installed.
-    SubmissionError, PolicyFailureError
-        A policy cannot be loaded, or gave no action.
-    InfrastructureError, StorageError, KeyboardInterrupt
-        Workers died, the disk is full, or the user stopped it; run again to go on.
+    Raises RunMismatchError where another release or plan uses the name, InputError where another process collects it,
+    the parent lacks a round or OpenVINO is missing, SubmissionError or PolicyFailureError where a policy fails, and
+    InfrastructureError, StorageError or KeyboardInterrupt where it was stopped; run again to go on.
     """
     collection = _Collection(plan, output, progress or Silent(), backend or default_backend(), chunk_episodes)
     return collection.run(partial(make_engine, engine, workers, address=address))
@@ -74,12 +66,8 @@ def collect(
 def inherit(plan: CollectionPlan, output: Path) -> tuple[ReleaseFolder | None, list[BlockKey]]:
     """The parent of a plan's release, and the blocks that are taken from it.
 
-    Raises
-    ------
-    InputError, MissingFileError
-        There is no such parent, it has no such round, or the round does not lie whole beside the new release.
-    RunMismatchError
-        Other data lie there under its name.
+    Raises InputError or MissingFileError where they do not lie whole beside the new release, RunMismatchError where
+    other data do.
     """
     if plan.parent is None:
         return None, []

@@ -78,24 +78,14 @@ class BlockPlan:
 
 @dataclass(frozen=True, slots=True)
 class CollectionPlan:
-    """A plan whose every value is known to be usable.
-
-    Attributes
-    ----------
-    blocks : tuple of BlockPlan
-        To be played, in the order of the file.
-    reused : tuple of int
-        Rounds taken from the parent.
-    parent : str or None
-        Name or folder of a release.
-    """
+    """A plan whose every value is known to be usable."""
 
     path: Path
     about: Description
     seed: int
-    blocks: tuple[BlockPlan, ...]
-    reused: tuple[int, ...] = ()
-    parent: str | None = None
+    blocks: tuple[BlockPlan, ...]  # to be played, in the order of the file
+    reused: tuple[int, ...] = ()  # rounds taken from the parent
+    parent: str | None = None  # name or folder of a release
 
     def check_devices(self) -> None:
         """Raise an InputError where a learned policy is to compute on a device that this machine lacks."""
@@ -192,15 +182,7 @@ class _Reused:
 
 
 def load_plan(path: Path) -> CollectionPlan:
-    """Read and check a plan.
-
-    Raises
-    ------
-    MissingFileError
-        The plan, a policy or a checkpoint is not there.
-    InputError
-        It is not TOML, or a value cannot be used: the message names the file and the key.
-    """
+    """Read and check a plan; InputError names the file and the key, MissingFileError the file that is not there."""
     return read_plan(read_toml(path), path)
 
 
@@ -225,10 +207,9 @@ def reuses(table: dict[str, Any], path: Path, where: str) -> bool:
 
 
 def read_plan(content: dict[str, Any], path: Path, checkpoint: _Networks | None = None) -> CollectionPlan:
-    """Check the content of a plan; errors are those of ``load_plan``.
+    """Check the content of a plan; its files are looked for beside ``path``. Errors are those of ``load_plan``.
 
-    Files that the plan names are looked for beside ``path``. ``checkpoint`` gives the folder of the networks that a
-    plan names; by default they have to be beside it, too.
+    ``checkpoint`` gives the folder of the networks that a plan names; by default they are beside ``path``, too.
     """
     plan = validated(_Collection, content, str(path), hint=_HINT)
     networks = checkpoint or (lambda name: check_checkpoint(path.parent / Path(name).expanduser()))

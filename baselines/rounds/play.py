@@ -49,9 +49,9 @@ class _Behaviour(NamedTuple):
 
 
 class BehaviourPolicies:
-    """The policies of some blocks, each in a process of its own, alive from ``start`` to ``close``.
+    """The policies of some blocks, each in a process, alive from ``start`` to ``close``, with their ``digests``.
 
-    Their output goes to files in ``logs``; ``digests`` has the digest of each.
+    Their output goes to files in ``logs``.
     """
 
     def __init__(self, blocks: Sequence[BlockPlan], backend: Backend, logs: Path) -> None:

@@ -50,16 +50,9 @@ def recurse(
     Networks go to the folder ``checkpoints`` in ``releases``. ``workers`` is the number of simulation processes, by
     default one a core; ``device`` is that of the trainings.
 
-    Raises
-    ------
-    RemaError
-        As ``collect`` and ``train``; what is finished stays.
-    InputError, MissingFileError
-        A device of the trainings, or of a round that is to be played, is not there; or a round that is reused, or
-        networks that are to play, of another recursion: before anything is done.
-    RunMismatchError
-        A release or a network of that name is there, made by another plan: see ``check_sealed`` and ``trained`` for
-        what is compared.
+    Raises what ``collect`` and ``train`` raise; what is finished stays. Raises InputError or MissingFileError, before
+    anything is done, without a device, a reused round or the networks of another recursion; and RunMismatchError where
+    a release or network of that name is from another plan (see ``check_sealed`` and ``trained``).
     """
     recursion = _Recursion(plan, releases, progress, device, workers)
     for entry in plan.rounds:

@@ -62,22 +62,12 @@ class NetworkPlan:
 
 @dataclass(frozen=True, slots=True)
 class RoundPlan:
-    """A round; ``number`` counts from 1.
+    """A round."""
 
-    Attributes
-    ----------
-    release : str
-        Name of the release that holds the rounds up to this one.
-    collection : dict or None
-        Of the round, as a collection plan has it; None for a round that is reused.
-    networks : tuple of NetworkPlan
-        Trained on that release.
-    """
-
-    number: int
-    release: str
-    collection: dict[str, Any] | None
-    networks: tuple[NetworkPlan, ...]
+    number: int  # from 1
+    release: str  # name of the release that holds the rounds up to this one
+    collection: dict[str, Any] | None  # as a collection plan has it; None for a round that is reused
+    networks: tuple[NetworkPlan, ...]  # trained on that release
 
     @property
     def played_by(self) -> tuple[str, ...]:
@@ -87,20 +77,12 @@ class RoundPlan:
 
 @dataclass(frozen=True, slots=True)
 class RecursionPlan:
-    """A whole recursion.
-
-    Attributes
-    ----------
-    about : dict
-        The texts and the seed, as a collection plan has them.
-    policies : dict of str to str
-        Built-in policies whose networks are trained here, with the folder of each.
-    """
+    """A whole recursion."""
 
     path: Path
-    about: dict[str, Any]
+    about: dict[str, Any]  # the texts and the seed, as a collection plan has them
     rounds: tuple[RoundPlan, ...]
-    policies: dict[str, str]
+    policies: dict[str, str]  # built-in policies whose networks are trained here, with the folder of each
 
     @property
     def name(self) -> str:
@@ -156,15 +138,10 @@ def networks_folder(place: str, releases: Path) -> Path:
 
 
 def load_recursion(path: Path) -> RecursionPlan:
-    """Read and check a plan of rounds.
+    """Read and check a plan of rounds; raises MissingFileError without the file.
 
-    Raises
-    ------
-    MissingFileError
-        The file is not there.
-    InputError
-        A value cannot be used, a field is unknown, a policy's networks are not trained by an earlier round, or a
-        network has nothing to be trained on.
+    Raises InputError where a value cannot be used, a field is unknown, a policy's networks are not trained by an
+    earlier round, or a network has nothing to be trained on.
     """
     content = read_toml(path)
     own = validated(_Recursion, content, str(path), hint=_HINT)

@@ -102,12 +102,10 @@ class WorkFolder:
     @staticmethod
     @contextmanager
     def locked(path: Path, identity: Mapping[str, Any]) -> Iterator[WorkFolder]:
-        """Open the folder for this process alone, creating it where it is missing.
+        """Open the folder for this process alone; it is created where it is missing.
 
-        ``identity`` is everything that decides a byte of a chunk, ready for JSON.
-
-        Raises InputError where another process is collecting there, RunMismatchError where it holds chunks of another
-        plan, and IntegrityError where a line of its log is damaged.
+        ``identity`` is what decides a byte of a chunk. Raises InputError where another process collects there,
+        RunMismatchError where it holds chunks of another plan, IntegrityError where a line of its log is damaged.
         """
         with storage_errors(path):
             path.mkdir(parents=True, exist_ok=True)

@@ -18,52 +18,25 @@ Positive = Annotated[int, Field(ge=1)]
 
 @record
 class TrainingConfig:
-    """One training; equal configurations on equal data give equal weights on one machine, with as many threads.
-
-    Attributes
-    ----------
-    primitive : {"grasp", "push"}
-    tasks : tuple of str
-        Whose steps with this primitive are used.
-    skills : tuple of str
-        Of these steps, those of some skills only; all where it is empty. A tool pick has the skill ``grasp``.
-    updates : int
-        Steps of the optimiser.
-    batch_size : int
-        Samples of a step, balanced over skill and success (paper: 8).
-    learning_rate : float
-        Of Adam (paper: 1e-4).
-    schedule : {"constant", "cosine"}
-        ``cosine`` lets the rate fall to nothing over the updates.
-    balance : {"exact", "average"}
-        In every minibatch, or on average as in the paper.
-    on_empty : {"raise", "renormalise"}
-        Where a skill has no success, no failure or no step at all: refuse, or go on with the rest.
-    rotate, mirror : bool
-        Augmentations beside the translation, each where it is valid: rotation of grasps, mirror images of pushes.
-    seed : int
-        Of the initial weights, the draws and the augmentations.
-    validate_every : int
-        Updates between two validations.
-    validation_steps : int
-        Steps of the validation split that are scored, half of them successes where there are as many.
-    architecture : Architecture
-    """
+    """One training; equal configurations on equal data give equal weights on one machine, with as many threads."""
 
     primitive: Literal["grasp", "push"]
-    tasks: Annotated[tuple[str, ...], Field(min_length=1)]
+    tasks: Annotated[tuple[str, ...], Field(min_length=1)]  # whose steps with this primitive are used
+    # only the steps of these skills; of all where it is empty. A tool pick has the skill ``grasp``
     skills: tuple[str, ...] = ()
-    updates: Positive = 160_000
-    batch_size: Positive = 8
-    learning_rate: Annotated[float, Field(gt=0, lt=1)] = 1e-4
-    schedule: Literal["constant", "cosine"] = "constant"
-    balance: Literal["exact", "average"] = "exact"
+    updates: Positive = 160_000  # steps of the optimiser
+    batch_size: Positive = 8  # samples of a step, balanced over skill and success (paper: 8)
+    learning_rate: Annotated[float, Field(gt=0, lt=1)] = 1e-4  # of Adam (paper: 1e-4)
+    schedule: Literal["constant", "cosine"] = "constant"  # ``cosine`` lets the rate fall to nothing over the updates
+    balance: Literal["exact", "average"] = "exact"  # in every minibatch, or on average as in the paper
+    # where a skill lacks successes, failures or steps: refuse, or use the rest
     on_empty: Literal["raise", "renormalise"] = "raise"
-    rotate: bool = True
-    mirror: bool = True
-    seed: Annotated[int, Field(ge=0, lt=2**63 - 1)] = 0  # torch takes the next number, too, and none beyond 63 bits
-    validate_every: Positive = 2_000
-    validation_steps: Annotated[int, Field(ge=2)] = 1_000
+    rotate: bool = True  # augment grasps by rotation, where it is valid
+    mirror: bool = True  # augment pushes by mirror images, where it is valid
+    # of the initial weights, the draws and the augmentations; torch takes the next number, too, and none beyond 63 bits
+    seed: Annotated[int, Field(ge=0, lt=2**63 - 1)] = 0
+    validate_every: Positive = 2_000  # updates between two validations
+    validation_steps: Annotated[int, Field(ge=2)] = 1_000  # scored, half of them successes if there are as many
     architecture: Architecture = field(default_factory=Architecture)
 
     @model_validator(mode="after")

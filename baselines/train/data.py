@@ -28,40 +28,21 @@ __all__ = ["Samples", "TrainingData", "open_data", "prepared"]
 
 
 class Samples(NamedTuple):
-    """What the network is asked, and the answer.
+    """What the network is asked, and the answer."""
 
-    Attributes
-    ----------
-    scene : float32 (N, 1, 64, 64)
-    end_effector : float32 (N, 4, 112, 112)
-        Turned to the angle of the action.
-    pixel : int64 (N,)
-        Place of the action: row * 64 + column.
-    success : bool (N,)
-    """
-
-    scene: Tensor
-    end_effector: Tensor
-    pixel: Tensor
-    success: Tensor
+    scene: Tensor  # float32 (N, 1, 64, 64)
+    end_effector: Tensor  # float32 (N, 4, 112, 112), turned to the angle of the action
+    pixel: Tensor  # int64 (N,), place of the action: row * 64 + column
+    success: Tensor  # bool (N,)
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingData:
-    """Both splits of what a configuration selects.
-
-    Attributes
-    ----------
-    train : StepDataset
-    validation : StepDataset
-        At most ``validation_steps``; of every skill as many successes as failures where there are enough.
-    sampler : BalancedSampler
-        Of ``train``, by skill and success.
-    """
+    """Both splits of what a configuration selects."""
 
     train: StepDataset
-    validation: StepDataset
-    sampler: BalancedSampler
+    validation: StepDataset  # at most ``validation_steps``; of every skill half successes where there are enough
+    sampler: BalancedSampler  # of ``train``, by skill and success
 
     def batches(self) -> Iterator[StepBatch]:
         """Training batches without an end, from where the sampler stands."""
@@ -75,14 +56,8 @@ class TrainingData:
 def open_data(release: Release, config: TrainingConfig) -> TrainingData:
     """Select and check the data of a training.
 
-    Raises
-    ------
-    InputError
-        The release lacks a task or a skill, or a skill has no success or no failure.
-    IntegrityError
-        A scene of the release is one of the frozen test scenarios.
-    MissingFileError
-        A block of the selection is not on this machine.
+    Raises InputError where the release lacks a task or a skill, or a skill lacks successes or failures, IntegrityError
+    where a scene is one of the frozen test scenarios, and MissingFileError where a block is not on this machine.
     """
     refuse_test_scenes(release, config.tasks)
     skills = config.learned_skills

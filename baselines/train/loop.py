@@ -50,28 +50,14 @@ def train(
 ) -> Trained:
     """Train a network, or go on with a training that was interrupted, and write its best checkpoint.
 
-    Parameters
-    ----------
-    folder : Path
-        Gets ``NAME.safetensors``, ``NAME.json`` and ``NAME.metrics.jsonl``; meanwhile ``.NAME.training``.
-    deterministic : bool
-        Refuse operations whose result may differ between two runs on one device.
-    progress : Progress, optional
-        Told of every update, the loss, every validation, and of resuming.
-    save_every : int, optional
-        Updates between two saved states; those of a validation by default.
+    ``folder`` gets ``NAME.safetensors``, ``NAME.json`` and ``NAME.metrics.jsonl``; meanwhile ``.NAME.training``.
+    ``deterministic`` refuses operations whose result may differ between two runs on one device. ``save_every`` is in
+    updates; by default a state is saved with every validation.
 
-    Raises
-    ------
-    InputError, MissingFileError, IntegrityError
-        See ``open_data``; or another process runs this training, the device is not there, or the name is not allowed.
-    RunMismatchError
-        The folder holds another training under the name.
-    DivergedError
-        A loss, a weight or an answer is NaN or infinite. The best weights so far are kept in the folder ``diverged``
-        below ``folder``; the training does not count as done.
-    StorageError
-        The disk is full.
+    Raises the errors of ``open_data``; InputError where another process runs this training, or the device or name
+    cannot be used; RunMismatchError where the folder holds another training of the name; StorageError where the disk
+    is full; DivergedError where a loss, weight or answer is not finite: the best weights so far are kept in the folder
+    ``diverged`` below ``folder``, and the training does not count as done.
     """
     check_network_name(name)
     where = training_device(device)

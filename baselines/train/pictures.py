@@ -42,14 +42,7 @@ def draw_maps(network: TaeNetwork, data: StepDataset, path: Path) -> None:
     """Draw predicted maps over the scenes of twelve steps, evenly spread, into a PNG file.
 
     Every panel shows the scene, the score of the best angle at every place, the best action (blue) and the recorded one
-    (green for a success, red for a failure).
-
-    Raises
-    ------
-    InputError
-        matplotlib is not installed.
-    StorageError
-        The file cannot be written.
+    (green for a success, red for a failure). Raises InputError without matplotlib.
     """
     require_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -48,12 +48,7 @@ def check_network_name(name: str) -> None:
 def trained(release: Release, config: TrainingConfig, folder: Path, name: str) -> Trained | None:
     """The finished training of this configuration and data in ``folder``, if it is there; its state is removed.
 
-    Raises
-    ------
-    RunMismatchError
-        A finished network of that name is there, of another configuration or other data.
-    IntegrityError
-        It is damaged.
+    Raises RunMismatchError for a network of another configuration or other data, IntegrityError for a damaged one.
     """
     if not (folder / f"{name}.json").exists():
         return None

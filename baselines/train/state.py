@@ -27,19 +27,11 @@ __all__ = ["TrainingState", "locked", "read_state", "state_path", "write_state"]
 
 
 class TrainingState(NamedTuple):
-    """A training after ``update`` updates.
-
-    Attributes
-    ----------
-    tensors : dict of str to Tensor
-        ``model/``, ``exp_avg/``, ``exp_avg_sq/``, ``best/`` and ``generator``.
-    facts : dict
-        Sampler state, history and the best measures, ready for JSON.
-    """
+    """A training after ``update`` updates."""
 
     update: int
-    tensors: Mapping[str, Tensor]
-    facts: dict[str, Any]
+    tensors: Mapping[str, Tensor]  # ``model/``, ``exp_avg/``, ``exp_avg_sq/``, ``best/`` and ``generator``
+    facts: dict[str, Any]  # sampler state, history and the best measures, ready for JSON
 
 
 def state_path(folder: Path, name: str) -> Path:
@@ -59,15 +51,7 @@ class _Card:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Lock the folder of a training, which is created where it is missing.
-
-    Raises
-    ------
-    InputError
-        Another process works there: the message says which.
-    StorageError
-        The folder cannot be created.
-    """
+    """Lock the folder of a training, created where it is missing; InputError says which process works there."""
     with storage_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         lock, owner = FileLock(folder / ".lock", timeout=0), folder / "owner.txt"

@@ -31,17 +31,9 @@ def pixel_logits(logits: Tensor, pixel: Tensor) -> Tensor:
 def validate(network: TaeNetwork, data: StepDataset, device: torch.device) -> dict[str, Any]:
     """Measures of a network on a dataset, in evaluation mode; its mode is left as it was.
 
-    Returns
-    -------
-    dict
-        ``auc`` and ``balanced_accuracy`` (means over the skills that have successes and failures, or over all where
-        none has; without both an AUC is 0.5), ``calibration_error`` and ``loss`` over all steps with both labels given
-        equal weight, and ``skills`` with the first two and the counts for each.
-
-    Raises
-    ------
-    DivergedError
-        An answer is not finite.
+    ``auc`` and ``balanced_accuracy`` are means over the skills with both labels, or over all where there are none (an
+    AUC is then 0.5 without both labels); ``calibration_error`` and ``loss`` give both labels equal weight over all
+    steps; ``skills`` has the first two and the counts for each. Raises DivergedError where an answer is not finite.
     """
     was_training = network.training
     network.eval()

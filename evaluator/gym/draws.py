@@ -57,18 +57,10 @@ class Draws:
         return Start("", prepare(simulator, self._task, rng).scenario(self._task, TRAIN))
 
     def named(self, name: Any) -> Start:
-        """The frozen scenario of a name.
+        """The frozen scenario of a name; raises InputError where there is no such, or it cannot be played.
 
-        Parameters
-        ----------
-        name : int or str
-            A position in the list of the domain (of ``val`` where the domain is ``train``), or a scenario's name such
-            as ``v1/grasp/test/00042``.
-
-        Raises
-        ------
-        InputError
-            There is no such scenario, it is of another task, or it has no tools in hand for the last step.
+        ``name`` is a position in the list of the domain (of ``val`` where the domain is ``train``), or a name such as
+        ``v1/grasp/test/00042``.
         """
         if not isinstance(name, str):
             return self._frozen("val" if self._domain == TRAIN else self._domain, int(name))

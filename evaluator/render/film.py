@@ -31,21 +31,13 @@ _SQUARE = (0.66, 0.62, 0.56, 1.0)
 
 @dataclass(frozen=True, slots=True)
 class Take:
-    """A step that was carried out; ``action`` is a grid index.
-
-    Attributes
-    ----------
-    before : Shot
-        Hands above the place of the action.
-    shots : sequence of Shot
-        One every ``SHOT_EVERY`` simulation steps, and the end; empty where no arm moved.
-    """
+    """A step that was carried out."""
 
     situation: Situation
-    action: int
+    action: int  # grid index
     outcome: StepOutcome
-    before: Shot
-    shots: Sequence[Shot]
+    before: Shot  # hands above the place of the action
+    shots: Sequence[Shot]  # one every ``SHOT_EVERY`` simulation steps, and the end; empty where no arm moved
 
     @property
     def after(self) -> Shot:
@@ -70,10 +62,7 @@ class FilmMaker:
     def play(
         self, scenario: Scenario, protocol: str, choose: Callable[[Situation], int], until: int | None = None
     ) -> Take:
-        """The step at which an episode ends, or the step ``until`` where that comes first.
-
-        ``choose`` maps a situation to a grid index.
-        """
+        """The step at which an episode ends, or the step ``until`` if earlier; ``choose`` gives a grid index."""
         for take in walk(scenario, protocol, lambda situation: self.take(situation, choose(situation))):
             if take.situation.step == until:
                 break
@@ -164,13 +153,7 @@ def markers(situation: Situation, action: int) -> list[Marker]:
 
 
 def agreement(row: Mapping[str, Any], take: Take) -> str:
-    """How a replayed episode compares with its row in the table of results.
-
-    Returns
-    -------
-    {"identical", "same label", "different"}
-        ``same label``: the step ended the same way, with other measurements.
-    """
+    """A replayed episode against its row of results: "identical", "same label" (other measurements) or "different"."""
     step = take.situation.step
     recorded = row[f"step{step}_success"], row[f"step{step}_failure"]
     label = None if take.outcome.failure is None else take.outcome.failure.value

@@ -75,12 +75,7 @@ def draw_action(situation: Situation, action: int) -> str:
 def draw_scores(best: npt.NDArray[np.float32], action: int) -> str:
     """A map of scores as colours from dark (0) to bright (1), the chosen place ringed, as a ``data:`` URL.
 
-    Parameters
-    ----------
-    best : float32 (64, 64)
-        Score of the best valid angle of every place; NaN where none is valid.
-    action : int
-        Grid index of the chosen one.
+    ``best``, float32 (64, 64), has the score of every place, NaN where no angle is valid; ``action`` is a grid index.
     """
     colours = matplotlib.colormaps[_SCORE_COLOURS](np.nan_to_num(best).clip(0, 1), bytes=True)[..., :3]
     colours[np.isnan(best)] = 120

@@ -40,13 +40,7 @@ _TOP = 562
 
 
 def check_action(situation: Situation, i: int, j: int, k: int) -> int:
-    """Grid index of a row, column and angle.
-
-    Raises
-    ------
-    InputError
-        The action is off the grid, or no arm can carry it out at this step.
-    """
+    """Grid index of a row, column and angle; InputError where it is off the grid or no arm can carry it out."""
     valid = valid_actions(situation.task, situation.step)
     rows, columns, angles = valid.shape
     if not (0 <= i < rows and 0 <= j < columns and 0 <= k < angles):
@@ -68,10 +62,7 @@ def check_action(situation: Situation, i: int, j: int, k: int) -> int:
 
 @contextmanager
 def chosen_by(policy: PolicySpec, checkpoint: Path | None = None) -> Iterator[Callable[[Situation], int]]:
-    """A running policy as a function from a situation to its action.
-
-    Raises SubmissionError where the policy cannot be loaded or, from the function, gave no valid answer.
-    """
+    """A running policy as a function from a situation to its action; both raise SubmissionError where it fails."""
     from evaluator.policy import PolicyHost
 
     def no_action(_: int, fault: PolicyFault) -> SubmissionError:
@@ -85,15 +76,7 @@ def chosen_by(policy: PolicySpec, checkpoint: Path | None = None) -> Iterator[Ca
 
 
 def write_preview(take: Take, path: Path, title: str, colours: int | None = None) -> None:
-    """Draw a step into a PNG file; reduced to so many ``colours`` it is much smaller.
-
-    Raises
-    ------
-    InputError
-        Pillow is not installed, or the file name has another suffix.
-    StorageError
-        The file cannot be written.
-    """
+    """Draw a step into a PNG file (fewer ``colours``: smaller); InputError without Pillow or for another suffix."""
     if path.suffix.lower() != ".png":
         raise InputError(f"{path} is not a PNG file", hint=f"write --output {path.with_suffix('.png')}", path=str(path))
     picture = draw(take, title)
@@ -105,13 +88,7 @@ def write_preview(take: Take, path: Path, title: str, colours: int | None = None
 
 
 def draw(take: Take, title: str) -> Image.Image:
-    """The picture of a step, 1280 x 900: two photographs, the maps, the action, the outcome.
-
-    Raises
-    ------
-    InputError
-        Pillow is not installed.
-    """
+    """The picture of a step, 1280 x 900: two photographs, the maps, the action, the outcome. Needs Pillow."""
     situation, outcome, observation = take.situation, take.outcome, observe(take.situation)
     way_m = kind_of(situation).reach_shifts(WORLD)[-1]
     scene = pictures.scene_map(

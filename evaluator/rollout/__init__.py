@@ -1,13 +1,6 @@
 """The one rollout: ask a policy, check its answers, simulate them, go on to the next step.
 
-``episode``
-    from step to step: where a protocol begins, and what follows an outcome
-``ask``
-    observations of one step become a question, and the answers come back checked: an action or a fault
-``simulate``
-    actions become outcomes, through an engine
-``backend``
-    the world and the host of policies; tests replace them
-
+``episode`` goes from step to step; ``ask`` turns observations into a question and checks the answers; ``simulate``
+turns actions into outcomes, through an engine; ``backend`` is the world and the host of policies, replaced by tests.
 Evaluation, audit, collection, scenario picking, previews, reports and the Gymnasium environments use these.
 """

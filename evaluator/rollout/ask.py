@@ -31,10 +31,7 @@ def ask(
     situations: Sequence[Situation],
     observations: Sequence[Observation] | None = None,
 ) -> list[Answer]:
-    """One answer for each situation, in order: a valid grid index, or a fault. See ``question``.
-
-    Only a privileged policy is shown the situations.
-    """
+    """One valid grid index or fault for each situation, in order; only a privileged policy is shown the situations."""
     batch = question(backend, situations, observations)
     return policy.act(batch, tuple(situations) if policy.privileged else None)
 

@@ -33,44 +33,22 @@ class PolicyProcess(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Backend:
-    """The world and the policies of a run.
-
-    Attributes
-    ----------
-    valid_actions : callable
-        (task, step) to bool (64, 64, 16).
-    observation_hash : str
-        Identity of everything that ``observe`` depends on.
-    simulator : str
-        ``module:attribute`` of the simulator's factory.
-    fingerprint : str
-        ``module:attribute`` of a callable that returns the fingerprint of the simulator; called in a child process, so
-        that this one loads no physics.
-    protocol_hash : callable
-        (task, protocol name) to sha256.
-    open_policy : callable
-        (policy, checkpoint, device, log file, sandbox command or None) to a context manager that yields the policy's
-        process.
-    """
+    """The world and the policies of a run."""
 
     observe: Callable[[Situation], Observation]
-    valid_actions: Callable[[str, int], npt.NDArray[np.bool_]]
-    observation_hash: str
-    simulator: str
+    valid_actions: Callable[[str, int], npt.NDArray[np.bool_]]  # (task, step) to bool (64, 64, 16)
+    observation_hash: str  # identity of everything that ``observe`` depends on
+    simulator: str  # ``module:attribute`` of the simulator's factory
+    # ``module:attribute`` of the function that gives it, called in a child process: this one loads no physics
     fingerprint: str
-    protocol_hash: Callable[[str, str], str]
+    protocol_hash: Callable[[str, str], str]  # (task, protocol name) to sha256
     policy_digest: Callable[[PolicySpec, Path | None], str]
+    # (policy, checkpoint, device, log file, sandbox command or None) to the policy's process
     open_policy: Callable[[PolicySpec, Path | None, str, Path, str | None], AbstractContextManager[PolicyProcess]]
 
 
 def default_backend() -> Backend:
-    """The real world and the real host.
-
-    Raises
-    ------
-    InputError
-        PyBullet is not installed.
-    """
+    """The real world and the real host; raises InputError where PyBullet is not installed."""
     require_bullet()
     from evaluator.policy import PolicyHost, digest
     from evaluator.protocol import protocol_hash

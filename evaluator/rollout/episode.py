@@ -43,10 +43,7 @@ def walk(scenario: Scenario, protocol: str, attempt: Callable[[Situation], _T]) 
 def frozen_scenario(frozen: ScenarioList, index: int, protocol: str) -> Scenario:
     """A scenario of a frozen list that ``protocol`` can be played on.
 
-    Raises
-    ------
-    InputError
-        The list is not that long, or the scenario has no tools in hand for the conditional protocol.
+    Raises InputError beyond the list, or where the conditional protocol needs tools in hand and there are none.
     """
     scenarios, task = frozen.scenarios, frozen.task
     if not 0 <= index < len(scenarios):

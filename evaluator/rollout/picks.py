@@ -25,13 +25,7 @@ BATCH = 64
 def open_picker(
     spec: PolicySpec, checkpoint: Path | None, device: str, log: Path, workers: int, backend: Backend | None = None
 ) -> Iterator[Picker]:
-    """A policy that picks the tools of scenario lists, in a process of its own that prints into ``log``.
-
-    Raises
-    ------
-    SubmissionError
-        The policy cannot be loaded.
-    """
+    """A policy that picks tools, in a process that prints into ``log``; SubmissionError if it cannot be loaded."""
     world = backend or default_backend()
     with (
         closing(make_engine("process", workers, world.simulator)) as engine,

@@ -42,15 +42,10 @@ def simulate_jobs(
     order: str,
     address: str | None = None,
 ) -> None:
-    """Run jobs and record their outcomes.
+    """Run jobs and record their outcomes; raises InfrastructureError where workers cannot be started.
 
     ``steps`` gives the (index, step) of a job's key; ``progress`` has begun its phase; ``engine``, ``workers``,
     ``order`` and ``address`` are those of ``EvaluationConfig``.
-
-    Raises
-    ------
-    InfrastructureError
-        Workers cannot be started.
     """
     ordered = arrange(jobs, order, [job.key for job in jobs])
     running: Engine
@@ -72,13 +67,7 @@ def simulate_jobs(
 
 
 def check_infrastructure(ledger: Ledger, summary: dict[str, Any], folder: Path) -> None:
-    """Raise where too much was lost, or where the world was not deterministic.
-
-    Raises
-    ------
-    InfrastructureError
-        More than 0.1 % of the episodes were lost, or a step had two different outcomes.
-    """
+    """Raise InfrastructureError where over 0.1 % of the episodes were lost or a step had two different outcomes."""
     lost = {key: record.outcome for key, record in ledger.outcomes.items() if isinstance(record.outcome, InfraError)}
     if ledger.contradictions:
         index, step = ledger.contradictions[0]

@@ -89,33 +89,14 @@ def write_lists(
 ) -> Path:
     """Write a new version of the scenario lists and its manifest; a list that the manifest names is never changed.
 
-    With a picker, the new manifest names the present lists of tasks without tools; they are not written again. A file
-    that no manifest names was left by a killed process: its list is drawn again.
+    ``version`` is a folder under ``manifests/scenarios``; ``counts`` has the scenarios of each split, by default
+    ``COUNTS``; ``picker`` picks the tools, by default the privileged reference policy. The new manifest names
+    the present lists of the tasks in ``keep`` and, with a picker, of those without tools; they are not written again. A
+    file that no manifest names was left by a killed process: its list is drawn again.
 
-    Parameters
-    ----------
-    version : str
-        Name of the folder under ``manifests/scenarios``.
-    counts : dict, optional
-        Scenarios of each split; ``COUNTS`` by default.
-    picker : Picker, optional
-        Picks the tools; the privileged reference policy by default.
-    keep : tuple of str
-        More tasks, whose present lists the new manifest names.
-
-    Returns
-    -------
-    Path
-        The manifest.
-
-    Raises
-    ------
-    InputError
-        Unknown task, or a count below 1.
-    IntegrityError
-        The manifest cannot be read; or it names a list whose file is gone, and drawing it again gives another.
-    StorageError
-        The disk is full or may not be written.
+    Returns the manifest's path. Raises InputError for an unknown task or a count below 1, IntegrityError where the
+    manifest cannot be read, or a list that it names is gone and drawing it again gives another, and StorageError where
+    the disk is full or may not be written.
     """
     manifest, sink = manifest_path(version), progress or Silent()
     origin = {} if picker is None else {"picker": picker.name, "picker_digest": picker.digest}

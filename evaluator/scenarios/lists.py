@@ -108,10 +108,7 @@ def _row(scenario: Scenario) -> dict[str, Any]:
 def encode_list(scenarios: Sequence[Scenario]) -> bytes:
     """Bytes of the Parquet file of a list: the same for the same scenarios on the same pyarrow.
 
-    Raises
-    ------
-    InputError
-        The list is empty, mixes tasks or splits, or its indices do not count from 0.
+    Raises InputError for a list that is empty, mixes tasks or splits, or whose indices do not count from 0.
     """
     if not scenarios:
         raise InputError("a scenario list needs at least one scenario", hint="generate some")
@@ -149,23 +146,9 @@ def update_manifest(
 ) -> None:
     """Add or replace one list in the manifest at ``path``; it is created where it is missing.
 
-    Parameters
-    ----------
-    path : Path
-        ``manifests/scenarios/VERSION/manifest.json``.
-    entry : str
-        ``task/split``.
-    file : str
-        Of the list, relative to the manifest.
-    seed_domain : str
-        Which part of the seed space its scenarios were drawn from.
-    **origin
-        More about how the list was made, kept as it is.
-
-    Raises
-    ------
-    InputError
-        The manifest is of another version.
+    ``entry`` is ``task/split``, ``file`` is relative to the manifest, ``seed_domain`` the part of the seed space that
+    the scenarios were drawn from; ``origin``, more about how the list was made, is kept as it is. Raises InputError
+    where the manifest is of another version.
     """
     content: dict[str, Any] = {"version": version, "lists": {}}
     if path.exists():

@@ -68,12 +68,8 @@ def draw_picked(
 ) -> list[Picked]:
     """Draw some scenarios of a task, in the order of their indices; a function of the indices and the policy alone.
 
-    ``generators`` are those of the scenarios, by index; ``pool`` runs the reference pinches.
-
-    Raises
-    ------
-    PolicyFailureError
-        The policy gave no action, or failed on too many objects in a row.
+    ``generators`` are by index; ``pool`` runs the reference pinches. Raises PolicyFailureError where the policy gave no
+    action, or failed on too many objects in a row.
     """
     drawn = [Picked(index, rng, list(draw_episode(rng, task))) for index, rng in sorted(generators.items())]
     waiting = drawn

@@ -20,21 +20,12 @@ YAW_BINS = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Targets:
-    """The objects that the last step is about, scenario by scenario.
-
-    Attributes
-    ----------
-    shape : str (N,)
-    length_m, width_m : float64 (N,)
-        Of the main bar.
-    yaw_rad : float64 (N,)
-        Of the main bar in the world frame.
-    """
+    """The objects that the last step is about, scenario by scenario; arrays (N,)."""
 
     shape: npt.NDArray[np.str_]
-    length_m: npt.NDArray[np.float64]
+    length_m: npt.NDArray[np.float64]  # of the main bar, as the next two
     width_m: npt.NDArray[np.float64]
-    yaw_rad: npt.NDArray[np.float64]
+    yaw_rad: npt.NDArray[np.float64]  # in the world frame
 
     def first(self, count: int) -> Targets:
         """The first so many."""
@@ -43,19 +34,11 @@ class Targets:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stratum:
-    """Scenarios that share something.
+    """Scenarios that share something."""
 
-    Attributes
-    ----------
-    by : {"shape", "length", "width", "yaw"}
-    label : str
-        With units.
-    members : bool (N,)
-    """
-
-    by: str
-    label: str
-    members: npt.NDArray[np.bool_]
+    by: str  # shape, length, width or yaw
+    label: str  # with units
+    members: npt.NDArray[np.bool_]  # (N,)
 
 
 def targets_of_list(task: str, split: str) -> Targets:

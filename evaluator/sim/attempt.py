@@ -42,25 +42,15 @@ class Hand:
 
 @dataclass(slots=True)
 class Attempt:
-    """A world in which one step is being carried out.
-
-    Attributes
-    ----------
-    target : int
-        Body of the object of this step.
-    allowed, forbidden : tuple of int
-        Bodies that may, and that must not, touch the target.
-    evidence : Evidence
-        What was measured so far.
-    """
+    """A world in which one step is being carried out."""
 
     world: World
     situation: Situation
     hands: list[Hand]
-    target: int
-    allowed: tuple[int, ...]
-    forbidden: tuple[int, ...] = ()
-    evidence: Evidence = field(default_factory=Evidence)
+    target: int  # body of the object of this step
+    allowed: tuple[int, ...]  # bodies that may touch the target
+    forbidden: tuple[int, ...] = ()  # bodies that must not touch the target
+    evidence: Evidence = field(default_factory=Evidence)  # what was measured so far
 
     @property
     def parameters(self) -> WorldParameters:

@@ -26,10 +26,9 @@ def bullet_version() -> str | None:
 
 
 def decisive(fingerprint: Mapping[str, Any] | None) -> dict[str, Any]:
-    """The part of a simulator's fingerprint that must agree for equal results: all but the name of the build.
+    """A fingerprint without the name of the build: what must agree for equal results.
 
-    Builds of Bullet that give the same bits are one simulator (``benchmarks/bullet_builds.py``); one that does not
-    changes the probe.
+    Builds of Bullet that give the same bits are one simulator (``benchmarks/bullet_builds.py``).
     """
     return {name: value for name, value in (fingerprint or {}).items() if name != "pybullet"}
 

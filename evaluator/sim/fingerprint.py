@@ -16,11 +16,8 @@ from rema_data.schema import Grip, ObjectSpec, Placement, Shape, Situation, Step
 def fingerprint() -> dict[str, str]:
     """Fingerprint of this machine's simulator, in a fraction of a second.
 
-    Returns
-    -------
-    dict
-        ``pybullet``: the build of Bullet; ``parameters``: sha256 of every constant; ``probe``: sha256 of the outcomes
-        of fixed attempts, every bit of them. Results are comparable bit for bit only where the last two agree.
+    ``pybullet``: the build of Bullet; ``parameters``: sha256 of every constant; ``probe``: sha256 of every bit of the
+    outcomes of fixed attempts. Results are comparable bit for bit only where the last two agree.
     """
     simulator = Simulator()
     try:

@@ -51,19 +51,10 @@ def joint_limits(parameters: WorldParameters = WORLD) -> Array:
 
 
 def solve(base: Base, x_m: Any, y_m: Any, z_m: Any, yaw_rad: Any, parameters: WorldParameters = WORLD) -> Array:
-    """Joints that put the tool centre point at a pose, the hand pointing down.
+    """Joints that put the tool centre point at a world pose, the hand pointing down; yaw is that of the closing axis.
 
-    Parameters
-    ----------
-    base : Base
-    x_m, y_m, z_m, yaw_rad : float or array (...)
-        World pose of the tool centre point; yaw of the closing axis.
-
-    Returns
-    -------
-    float64 (..., 7)
-        Radians; NaN where the pose is farther than the arm is long. Joint 7 is wrapped to [-pi, pi): unwrap it along
-        a path. Joint limits are not checked here.
+    Takes floats or arrays (...); gives radians, float64 (..., 7), NaN where the pose is farther than the arm is long.
+    Joint 7 is wrapped to [-pi, pi): unwrap it along a path. Joint limits are not checked here.
     """
     c, s = np.cos(base.yaw_rad), np.sin(base.yaw_rad)
     dx, dy = np.asarray(x_m, float) - base.x_m, np.asarray(y_m, float) - base.y_m
@@ -87,18 +78,9 @@ def solve(base: Base, x_m: Any, y_m: Any, z_m: Any, yaw_rad: Any, parameters: Wo
 def solve_path(
     base: Base, x_m: Any, y_m: Any, z_m: Any, yaw_rad: Any, symmetric: bool, parameters: WorldParameters = WORLD
 ) -> Array:
-    """Joints along a path, joint 7 continuous and its whole course as far from its limits as the hand allows.
+    """Joints along a path (the last axis), float64 (..., n, 7): joint 7 continuous, as far from its limits as possible.
 
-    Parameters
-    ----------
-    x_m, y_m, z_m, yaw_rad : float or array (..., n)
-        Path along the last axis.
-    symmetric : bool
-        Whether the hand looks the same after half a turn (bare gripper), so that joint 7 may be turned by pi.
-
-    Returns
-    -------
-    float64 (..., n, 7)
+    ``symmetric``: the hand looks the same after half a turn (bare gripper), so that joint 7 may be turned by pi.
     """
     joints = solve(base, x_m, y_m, z_m, yaw_rad, parameters)
     q7 = np.unwrap(joints[..., 6], axis=-1)

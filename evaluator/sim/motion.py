@@ -18,7 +18,7 @@ Array = npt.NDArray[Any]
 
 @lru_cache(maxsize=64)
 def profile(distance_m: float, speed_m_s: float, tick_s: float, ramp_share: float) -> Array:
-    """Share of the way covered at every control tick, float64 (n + 1,), from 0 to 1, read-only.
+    """Share of the way covered at every tick, float64 (n + 1,), read-only.
 
     Speed rises and falls linearly, each over ``ramp_share`` of the duration.
     """
@@ -36,18 +36,10 @@ def profile(distance_m: float, speed_m_s: float, tick_s: float, ramp_share: floa
 
 @dataclass(frozen=True, slots=True)
 class JointPath:
-    """Joint targets of one arm at every control tick.
+    """Joint targets of one arm at every control tick."""
 
-    Attributes
-    ----------
-    positions : float64 (n + 1, 7)
-        Radians; the first row is where the path starts.
-    velocities : float64 (n, 7)
-        Radians per second on the way to the next row.
-    """
-
-    positions: Array
-    velocities: Array
+    positions: Array  # float64 (n + 1, 7), radians; the first row is where the path starts
+    velocities: Array  # float64 (n, 7), radians per second on the way to the next row
 
     @property
     def reachable(self) -> bool:
@@ -67,8 +59,7 @@ def line(
 ) -> JointPath:
     """Joint path of a straight line of the tool centre point at a constant yaw.
 
-    ``start`` and ``end`` are (x, y, z) in the world frame, metres; ``shares`` float64 (n + 1,) from ``profile``;
-    ``tick_s`` the time between two rows; ``symmetric`` as in ``solve_path``.
+    ``start`` and ``end`` are world (x, y, z), metres; ``shares`` float64 (n + 1,); ``symmetric`` as in ``solve_path``.
     """
     way = np.asarray(start)[:, None] + (np.asarray(end) - np.asarray(start))[:, None] * shares
     positions = solve_path(base, way[0], way[1], way[2], np.full(shares.shape, yaw_rad), symmetric, parameters)

@@ -61,17 +61,9 @@ def gap(first: Iterable[Rect], second: Sequence[Rect]) -> float:
 
 
 def paint(image: npt.NDArray[Any], rect: Rect, value: float, half_m: float) -> None:
-    """Set the pixels whose centres lie inside ``rect`` to at least ``value``.
+    """Set the pixels whose centres lie inside ``rect`` to at least ``value``, in place.
 
-    Parameters
-    ----------
-    image : array (n, n)
-        Square map centred on the frame's origin; row grows with y, column with x. Changed in place.
-    rect : Rect
-    value : float
-        In the units of ``image``.
-    half_m : float
-        Half the edge of the map, metres.
+    ``image`` (n, n) is centred on the frame's origin, rows along y, columns along x; its edge is 2 ``half_m`` metres.
     """
     pixels = image.shape[0]
     x_low, x_high = rect.extent(0.0)

@@ -58,10 +58,7 @@ def prepare(simulator: Simulator, task: str, rng: np.random.Generator) -> Prepar
 
 
 def reference_step(simulator: Simulator, situation: Situation, rng: np.random.Generator) -> StepOutcome | None:
-    """Pick up or pinch an object that is to become a tool; None if no try succeeds.
-
-    The generator chooses where along the bar a pick aims, and which way round.
-    """
+    """Pick up or pinch, at random along the bar, an object that is to become a tool; None if no try succeeds."""
     valid = valid_actions(situation.task, situation.step).reshape(-1)
     candidates = kind_of(situation).candidates(situation.target, valid, rng, simulator.parameters)
     for action in islice(candidates, TRIES):

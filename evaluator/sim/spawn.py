@@ -10,19 +10,13 @@ from rema_data.schema import TASK_NUMBERS, TASKS, ObjectSpec, Placement, Shape, 
 
 
 def episode_generator(root: int, domain: str, task: str, episode: int) -> np.random.Generator:
-    """The generator of one episode of a list: streams of different domains, tasks or episodes never meet.
-
-    ``domain`` (``test``, ``val`` or ``calibrate``) keeps frozen scenarios and collected data apart.
-    """
+    """The generator of one episode of a list; ``domain`` is ``test``, ``val`` or ``calibrate``. Streams never meet."""
     key = (_DOMAINS[domain], TASK_NUMBERS[task], episode)
     return np.random.default_rng(np.random.SeedSequence(root, spawn_key=key))
 
 
 def collection_generator(root: int, round_: int, task: str, split: str, episode: int) -> np.random.Generator:
-    """The generator of one collected episode: streams of different rounds, tasks, splits or episodes never meet.
-
-    Rounds count from 1, episodes of a (round, task, split) from 0; ``split`` is ``train`` or ``val``.
-    """
+    """The generator of one collected episode: rounds count from 1, episodes of a (round, task, split) from 0."""
     key = (_DOMAINS["collect"], TASK_NUMBERS[task], round_, _SPLITS[split], episode)
     return np.random.default_rng(np.random.SeedSequence(root, spawn_key=key))
 

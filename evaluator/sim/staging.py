@@ -27,12 +27,9 @@ class HandPose(NamedTuple):
 
 
 class Thing(NamedTuple):
-    """An object that lies level: what it is to this step, what it is made of, and where its centre of mass is.
+    """An object that lies level: what it is to this step, what it is made of, and where its centre of mass is."""
 
-    ``role`` is ``target``, ``tool`` (held by a hand) or ``held`` (pinched between two sticks).
-    """
-
-    role: str
+    role: str  # ``target``, ``tool`` (held by a hand) or ``held`` (pinched between two sticks)
     spec: ObjectSpec
     x_m: float
     y_m: float

@@ -1,9 +1,8 @@
 """One PyBullet world: arms, a table, and the objects of one step.
 
-The whole world is rebuilt at the start of each step, in a fixed order, so that what follows is a pure function of what
-is placed: joints, motors, objects. With only the objects replaced, the order of Bullet's collision pairs would depend
-on earlier steps, and sometimes the last bits of an outcome, or its label, too. Arms without pictures make a rebuild
-cheap.
+The whole world is rebuilt at the start of each step, in a fixed order, so that what follows depends only on what is
+placed. With only the objects replaced, the order of Bullet's collision pairs, and so an outcome, would depend on
+earlier steps.
 """
 
 from __future__ import annotations
@@ -136,15 +135,9 @@ class Arm:
 
 
 class World:
-    """A DIRECT client with a table, the named arms, and the objects of one step.
+    """A DIRECT client with a table, the named arms (``left``, ``right`` or both), and the objects of one step.
 
-    Parameters
-    ----------
-    arms : sequence of str
-        Arms to load: ``left``, ``right`` or both. An arm that does not act is left out: it would only cost time.
-    parameters : WorldParameters
-    urdf : str, optional
-        URDF text of the arms; that of ``robots.urdf`` by default.
+    An arm that does not act is left out: it would only cost time. ``urdf`` is by default that of ``robots.urdf``.
     """
 
     def __init__(self, arms: Sequence[str], parameters: WorldParameters = WORLD, urdf: str | None = None) -> None:

@@ -135,35 +135,19 @@ def _check(alpha: float, *counts: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class QuickResult:
-    """The result of a quick look; intervals hold at every look.
+    """The result of a quick look; intervals hold at every look."""
 
-    Attributes
-    ----------
-    verdict : {"better", "worse", "undecided"}
-        Of our policy against the reference.
-    alpha : float
-        Largest chance of a wrong ``better`` or ``worse``, at any number of looks.
-    decided_at : int or None
-        Pairs after which the verdict was reached.
-    p_value : float
-        Anytime-valid: 1 over the largest evidence seen.
-    rate, difference : float
-        Ours, and ours minus the reference's. NaN without a pair.
-    rate_interval, difference_interval : (float, float)
-        At confidence ``1 - alpha`` each.
-    """
-
-    verdict: Verdict
-    alpha: float
+    verdict: Verdict  # of our policy against the reference
+    alpha: float  # largest chance of a wrong ``better`` or ``worse``, at any number of looks
     pairs: int
     only_ours: int
     only_reference: int
-    decided_at: int | None
-    p_value: float
-    rate: float
-    rate_interval: tuple[float, float]
-    difference: float
-    difference_interval: tuple[float, float]
+    decided_at: int | None  # pairs after which the verdict was reached; None while undecided
+    p_value: float  # anytime-valid: 1 over the largest evidence seen
+    rate: float  # ours; NaN without a pair
+    rate_interval: tuple[float, float]  # at confidence ``1 - alpha``
+    difference: float  # ours minus the reference's; NaN without a pair
+    difference_interval: tuple[float, float]  # at confidence ``1 - alpha``
 
     def to_dict(self) -> dict[str, Any]:
         """The same, ready for JSON."""

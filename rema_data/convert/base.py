@@ -21,18 +21,10 @@ Maps = Literal["metres", "quantised"]
 
 @dataclass(frozen=True, slots=True)
 class ExportOptions:
-    """What a reader of the export will find in it.
+    """What a reader of the export will find in it."""
 
-    Attributes
-    ----------
-    maps : str
-        ``metres``: float32 heights in metres. ``quantised``: the stored uint16.
-    next_obs : bool
-        Also write what was seen one step later, which offline reinforcement learning reads.
-    """
-
-    maps: Maps = "metres"
-    next_obs: bool = False
+    maps: Maps = "metres"  # float32 heights in metres, or ``quantised``: the stored uint16
+    next_obs: bool = False  # also what was seen one step later, which offline reinforcement learning reads
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,21 +56,11 @@ class ImportedBlock(NamedTuple):
 
 
 class Source(Protocol):
-    """An export that is being read.
+    """An export that is being read."""
 
-    Attributes
-    ----------
-    manifest : Manifest
-        Of the exported release.
-    card : dict of str to bytes
-        Files of the release that belong to no block, by path.
-    steps : int
-        How many the export holds.
-    """
-
-    manifest: Manifest
-    card: dict[str, bytes]
-    steps: int
+    manifest: Manifest  # of the exported release
+    card: dict[str, bytes]  # files of the release that belong to no block, by path
+    steps: int  # how many the export holds
 
     def blocks(self) -> Iterator[ImportedBlock]:
         """Blocks, each once."""

@@ -47,31 +47,14 @@ def import_release(
     *,
     progress: Progress | None = None,
 ) -> Imported:
-    """Make a release of an export.
+    """Make a release, ``root / name``, of files of one export, or folders of them.
 
-    Parameters
-    ----------
-    sources : sequence of Path
-        Files of one export, or folders of them.
-    root : Path
-        Folder of releases; the new one is ``root / name``.
-    name : str, optional
-        By default that of the release that was exported.
-    format : str or Format
-        By default robomimic's HDF5; the name of an installed format, or the format itself.
+    ``name`` is by default that of the exported release, ``format`` robomimic's HDF5; it can be the name of an installed
+    format, or the format itself.
 
-    Raises
-    ------
-    InputError
-        The name cannot be one, or the files are not an export, not of one release, or without episodes.
-    MissingFileError
-        A file is not there.
-    IntegrityError
-        A file is not whole, or contradicts itself.
-    RunMismatchError
-        A release of that name is there already.
-    StorageError
-        The disk is full or may not be written.
+    Raises InputError where the name cannot be one, or the files are not one export with episodes, MissingFileError for
+    a missing file, IntegrityError for one that is not whole or contradicts itself, RunMismatchError where a release of
+    that name is there already, and StorageError where the disk is full or may not be written.
     """
     progress = progress or Silent()
     reader = find_format(format)

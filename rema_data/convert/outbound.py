@@ -24,35 +24,14 @@ def export_release(
     split: str | None = None,
     progress: Progress | None = None,
 ) -> list[ExportedFile]:
-    """Write a release, or blocks of it, into the folder ``target``.
+    """Write a release, or blocks of it (all by default), into the folder ``target``, created where it is missing.
 
     A file appears whole or not at all. Files of the same export that are there already are kept: an interrupted export
-    resumes.
+    resumes. ``format`` is by default robomimic's HDF5; the name of an installed format, or the format itself.
 
-    Parameters
-    ----------
-    release : ReleaseFolder
-        From ``rema_data.release.folder.find_release``.
-    target : Path
-        Folder of the files; created where it is missing.
-    format : str or Format
-        By default robomimic's HDF5; the name of an installed format, or the format itself.
-    options : ExportOptions, optional
-    tasks, rounds, split
-        Which blocks; all by default.
-
-    Raises
-    ------
-    InputError
-        There is no such format, task, round or split.
-    MissingFileError
-        Not all of the blocks are on this machine.
-    RunMismatchError
-        A file of another export is in the way.
-    IntegrityError
-        The release is damaged.
-    StorageError
-        The disk is full or may not be written.
+    Raises InputError for an unknown format, task, round or split, MissingFileError where a block is not on this
+    machine, RunMismatchError where a file of another export is in the way, IntegrityError where the release is
+    damaged, and StorageError where the disk is full or may not be written.
     """
     writer = find_format(format)
     blocks = release.manifest.select(tasks, rounds, split)

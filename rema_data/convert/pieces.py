@@ -31,13 +31,7 @@ class Piece(NamedTuple):
 
 
 def read_pieces(reader: BlockReader, piece_steps: int = PIECE_STEPS) -> Iterator[Piece]:
-    """Pieces of a block in order.
-
-    Raises
-    ------
-    MissingFileError, IntegrityError
-        A file of the block is not there, is damaged, or contradicts another one.
-    """
+    """Pieces of a block in order; MissingFileError or IntegrityError for a file of it."""
     episodes, steps, maps = reader.episodes(), reader.steps(), reader.maps()
     counts = episodes["steps"].to_numpy().astype(np.int64)
     ends = np.cumsum(counts)

@@ -32,10 +32,7 @@ class Outcome:
 def fetch_files(
     entries: Sequence[FileEntry], root: Path, sources: Sequence[Source], jobs: int, progress: Progress
 ) -> Outcome:
-    """Fetch files to ``root``; the ones that no source delivers are in the outcome.
-
-    A full disk stops all threads and raises StorageError. What has arrived stays.
-    """
+    """Fetch files to ``root``; those that no source delivers are in the outcome. A full disk raises StorageError."""
     stop, lock = threading.Event(), threading.Lock()
     waiting: queue.SimpleQueue[FileEntry] = queue.SimpleQueue()
     done: queue.SimpleQueue[tuple[int, BaseException | None]] = queue.SimpleQueue()

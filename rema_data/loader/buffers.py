@@ -32,10 +32,7 @@ class _Lease:
 
 
 def empty(shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
-    """An array with arbitrary content, as ``numpy.empty``; a large one may lie where a dropped one lay.
-
-    Memory is lent again only after every array, tensor and view over it is gone, so that a batch can be kept.
-    """
+    """As ``numpy.empty``; a large one may lie where one lay of which no array, tensor or view is left."""
     kind = np.dtype(dtype)
     size = math.prod(shape) * kind.itemsize
     if size < _WORTH_BYTES:

@@ -49,14 +49,8 @@ def open_cache(
 ) -> DecodedCache:
     """The cache of some local blocks, built where it is missing or damaged; one process builds, others wait for it.
 
-    ``folder`` holds all caches: by default ``REMA_HOME/decoded``.
-
-    Raises
-    ------
-    StorageError
-        The folder cannot be written or is full.
-    IntegrityError, MissingFileError
-        A file of the release is damaged or missing.
+    ``folder`` holds all caches: by default ``REMA_HOME/decoded``. Raises StorageError where it cannot be written or is
+    full, IntegrityError or MissingFileError for a file of the release.
     """
     folder = caches_folder() if folder is None else folder
     path = folder / cache_name(release, blocks)

@@ -24,16 +24,9 @@ _ROWS = 8
 
 
 def to_metres_cpu(read: Callable[[slice], Maps], count: int) -> tuple[Tensor, Tensor]:
-    """Maps of ``count`` steps, converted a few at a time.
+    """Scene and end effector of ``count`` steps as in ``FloatBatch``, converted a few at a time.
 
     ``read`` gives scene, end-effector depth and packed mask of a range of the steps, quantised.
-
-    Returns
-    -------
-    scene : float32 (N, 1, 64, 64)
-        Metres.
-    end_effector : float32 (N, 4, 112, 112)
-        Depth (m) and mask (0 or 1) of state 1, depth and mask of state 2.
     """
     scene_m = empty((count, 1, SCENE_PIXELS, SCENE_PIXELS), np.float32)
     planes = empty((count, 4, EE_PIXELS, EE_PIXELS), np.float32)

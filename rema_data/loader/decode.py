@@ -80,12 +80,8 @@ def decode_blocks(
 ) -> tuple[Index, Categories]:
     """Decode blocks one after the other; returns the index of their steps, whose map rows count over all of them.
 
-    Raises
-    ------
-    IntegrityError
-        A file is not the one that the manifest names, or cannot be decoded.
-    MissingFileError
-        A file does not exist.
+    Raises IntegrityError for a file that is not the manifest's or cannot be decoded, MissingFileError for a missing
+    one.
     """
     wanted = {block.key.path for block in blocks}
     files = [file for file in release.manifest.files if file.block in wanted]

@@ -51,10 +51,7 @@ HIDDEN = ("scene_row", "ee_row")
 
 
 def encode_steps(tables: Sequence[pa.Table]) -> tuple[Index, dict[str, list[str]]]:
-    """Index of some step tables in a row, and the values of its text columns.
-
-    The map rows are copied as they are: they still count within their blocks.
-    """
+    """Index of some step tables in a row, whose map rows still count within their blocks, and its text values."""
     import pyarrow as pa
     import pyarrow.compute as pc
 

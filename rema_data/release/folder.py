@@ -119,21 +119,10 @@ def local_sources() -> tuple[Path, ...]:
 
 
 def find_release(name_or_path: str | os.PathLike[str] | None = None) -> ReleaseFolder:
-    """A release on this machine.
+    """The release of a published name, or in a folder; by default the newest published one that is on this machine.
 
-    Parameters
-    ----------
-    name_or_path : str or path, optional
-        Name of a published release, or the folder of any release; by default the newest published one that is here.
-
-    Raises
-    ------
-    InputError
-        There is no release of that name.
-    MissingFileError
-        It is not on this machine, or the folder is not that of a release.
-    IntegrityError
-        Its manifest is damaged, or not the published one.
+    Raises InputError for an unknown name, MissingFileError where it is not on this machine or the folder has no
+    release, and IntegrityError where its manifest is damaged or not the published one.
     """
     if name_or_path is None:
         return _find_default()

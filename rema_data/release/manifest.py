@@ -113,13 +113,7 @@ class Manifest(StrictRecord):
         rounds: Iterable[int] | None = None,
         split: str | None = None,
     ) -> tuple[BlockEntry, ...]:
-        """Blocks of some tasks, rounds and one split; None means all.
-
-        Raises
-        ------
-        InputError
-            The release has no such task, round or split, or no block of that combination.
-        """
+        """Blocks of some tasks, rounds and one split; None means all. InputError where there is no such block."""
         wanted = {
             "task": None if tasks is None else set(_names(tasks)),
             "round": None if rounds is None else set(rounds),
@@ -158,25 +152,11 @@ def _names(tasks: Iterable[str]) -> tuple[str, ...]:
 
 
 def parse_manifest(data: bytes, where: str, sha256: str | None = None, hint: str = "") -> Manifest:
-    """A manifest from its bytes.
+    """A manifest from its bytes; ``where`` (file or URL) and ``hint`` (the command that repairs it) go into messages.
 
-    Parameters
-    ----------
-    data : bytes
-    where : str
-        File or URL, for messages.
-    sha256 : str, optional
-        Identity that the bytes must have. Such a manifest was checked when it was sealed; without an identity, every
-        field is checked here.
-    hint : str
-        The command that brings the right bytes back, where the caller knows it.
-
-    Raises
-    ------
-    IntegrityError
-        The bytes have another identity, are not a manifest, name a path outside the release, or contradict themselves.
-    InputError
-        This version of rema cannot read the schema version.
+    With its ``sha256``, it was checked when it was sealed; without, every field is checked here. Raises IntegrityError
+    where the bytes have another sha256, are not a manifest, name a path outside the release, or contradict themselves,
+    and InputError for a schema version that this rema cannot read.
     """
     hint = hint or copy_again(where)
     got = hashlib.sha256(data).hexdigest()

@@ -24,10 +24,7 @@ def _folder() -> Path:
 def published() -> dict[str, str]:
     """sha256 of the manifest of every release, by name, in the order of publication.
 
-    Raises
-    ------
-    MissingFileError, IntegrityError
-        The index does not exist, or cannot be read.
+    Raises MissingFileError or IntegrityError where the index does not exist or cannot be read.
     """
     return read_manifest(
         _folder() / "index.json",
@@ -47,12 +44,7 @@ def newest() -> str:
 def load_published(name: str) -> Manifest:
     """Manifest of a published release, checked against the index.
 
-    Raises
-    ------
-    InputError
-        There is no release of that name.
-    MissingFileError, IntegrityError
-        Its manifest is not there, or is not the published one.
+    Raises InputError for an unknown name, MissingFileError or IntegrityError without the published manifest.
     """
     entries = published()
     if name not in entries:
@@ -64,13 +56,7 @@ def load_published(name: str) -> Manifest:
 
 
 def register(manifest: Manifest) -> Path:
-    """Enter a sealed release at the end of the index; its manifest's path.
-
-    Raises
-    ------
-    InputError
-        A release of that name with other content is published already: it can never change.
-    """
+    """Enter a sealed release at the end of the index; its manifest's path. InputError if the name is taken."""
     from filelock import FileLock  # only publishing needs it
 
     folder = _folder()

@@ -73,16 +73,8 @@ def seal(
 
     ``staging`` holds the new blocks, ``keys``; it lies on the file system of ``root``, the folder of releases, and is
     renamed. ``reused`` are blocks of ``parent``, the release that this one continues, that belong to this release too;
-    they stay where they are. ``fingerprint`` is the simulator's.
-
-    Raises
-    ------
-    InputError
-        The name cannot be one, or a block is both new and reused.
-    RunMismatchError
-        A release of that name is there already.
-    StorageError
-        The disk is full or may not be written.
+    they stay where they are. ``fingerprint`` is the simulator's. Raises InputError for a name that cannot be one or a
+    block both new and reused, RunMismatchError where a release of that name is there already, and StorageError.
     """
     target = root / check_name(about.name)
     if target.exists():

@@ -18,10 +18,7 @@ Shares = npt.NDArray[np.float64]
 
 
 def uniform_shares(strata: Strata) -> Shares:
-    """Share of every stratum in the draws.
-
-    The values of the first column have equal shares, then within each of them those of the second, and so on.
-    """
+    """Share of every stratum: equal for the values of the first column, within each for those of the second, etc."""
     shares = np.ones(len(strata.labels))
     for depth in range(1, len(strata.by) + 1):
         siblings = Counter(prefix[:-1] for prefix in {label[:depth] for label in strata.labels})

@@ -82,13 +82,8 @@ def stratify(table: Any, by: Sequence[str], on_empty: str = "raise") -> Strata:
     """Group the rows of a table by its columns ``by``.
 
     The strata are the combinations that occur of the columns that are not truth values, each with every combination of
-    those that are: a table of successes lacks failures, whether or not a row says so. ``on_empty`` says what to do
-    about a combination without a row: "raise", or "renormalise" to share its draws among the others.
-
-    Raises
-    ------
-    InputError
-        A column is missing or has missing values, the table is empty, or a stratum is.
+    those that are: a table of successes lacks failures, whether or not a row says so. A combination without a row
+    raises InputError, or with "renormalise" shares its draws among the others.
     """
     by = tuple(by)
     if not by or len(set(by)) < len(by):

@@ -143,12 +143,7 @@ class MapsWriter:
 class MapsReader:
     """Reads stored rows of a block's maps. For training use ``rema_data.load``: it decodes once.
 
-    ``repair_hint`` gives the hint of an error about a path in the block.
-
-    Raises
-    ------
-    MissingFileError, IntegrityError
-        There are no maps, or their metadata are damaged.
+    ``repair_hint`` gives the hint of an error about a path in the block. Raises MissingFileError or IntegrityError.
     """
 
     def __init__(self, folder: Path, repair_hint: RepairHint = ask_verify) -> None:

@@ -207,15 +207,9 @@ def to_parquet(table: pa.Table) -> bytes:
 def read_table(path: Path, columns: tuple[Column, ...], repair_hint: RepairHint = ask_verify) -> pa.Table:
     """A table of a block with all ``columns``, checked; those that are newer than the file hold their default.
 
-    ``table_version`` still gives the version in which it is stored. ``repair_hint`` gives the hint about a damaged
-    file.
-
-    Raises
-    ------
-    MissingFileError
-        It does not exist.
-    IntegrityError
-        It is not a whole Parquet file, or has columns of no schema version that this rema knows.
+    ``table_version`` still gives the version in which it is stored; ``repair_hint`` the hint about a damaged file.
+    Raises MissingFileError, or IntegrityError for a file that is not whole or of no schema version that this rema
+    knows.
     """
     try:
         table = pq.read_table(path, page_checksum_verification=True)

@@ -32,36 +32,18 @@ TOOL_HEIGHTS_M = (0.0, 0.03)
 
 
 class Kind(ABC):
-    """One kind of step, ``step`` in the schema.
-
-    Attributes
-    ----------
-    acting, touching : str
-        In words: what acts ("a tool"), and the only thing that may touch the target ("the held tool").
-    role : str or None
-        Role of the thing that may touch the target (see ``Thing``); None for the fingers.
-    measure : str
-        The field of ``Evidence`` that success is measured by.
-    closes : bool
-        Whether the end effector closes, so that its two states differ.
-    symmetric : bool
-        Whether half a turn of the hand makes no difference.
-    tools_touch : bool
-        Whether held tools may touch the target.
-    sides, turns : tuple of float
-        Direction of each hand from the action's place along its axis (1 or -1), and its yaw against the action's.
-    """
+    """One kind of step, ``step`` in the schema."""
 
     step: ClassVar[StepKind]
-    acting: ClassVar[str]
-    touching: ClassVar[str]
-    role: ClassVar[str | None] = None
-    measure: ClassVar[str]
-    closes: ClassVar[bool] = False
-    symmetric: ClassVar[bool] = False
-    tools_touch: ClassVar[bool] = True
-    sides: ClassVar[tuple[float, ...]] = SIDES
-    turns: ClassVar[tuple[float, ...]] = (0.0, 0.0)
+    acting: ClassVar[str]  # in words, what acts ("a tool")
+    touching: ClassVar[str]  # in words, the only thing that may touch the target ("the held tool")
+    role: ClassVar[str | None] = None  # of the thing that may touch the target (``Thing``); None for the fingers
+    measure: ClassVar[str]  # the field of ``Evidence`` that success is measured by
+    closes: ClassVar[bool] = False  # the end effector closes, so its two states differ
+    symmetric: ClassVar[bool] = False  # half a turn of the hand makes no difference
+    tools_touch: ClassVar[bool] = True  # held tools may touch the target
+    sides: ClassVar[tuple[float, ...]] = SIDES  # direction of each hand from the action's place along its axis
+    turns: ClassVar[tuple[float, ...]] = (0.0, 0.0)  # yaw of each hand against the action's
 
     @cached_property
     def two_arms(self) -> bool:

@@ -32,19 +32,11 @@ _PROBE_M = 1e-3
 
 @dataclass(slots=True)
 class PairPath:
-    """Joint targets of both arms along a path of the pair's origin, and how they change with the hands' distance.
+    """Joint targets of both arms along a path of the pair's origin, and how they change with the hands' distance."""
 
-    Attributes
-    ----------
-    positions : float64 (2, n + 1, 7)
-    outwards : float64 (2, n + 1, 7)
-        Change of the joints per metre that the hands move apart (each).
-    velocities : float64 (2, n, 7)
-    """
-
-    positions: Array
-    outwards: Array
-    velocities: Array
+    positions: Array  # float64 (2, n + 1, 7)
+    outwards: Array  # float64 (2, n + 1, 7): change per metre that each hand moves outwards
+    velocities: Array  # float64 (2, n, 7)
 
     def of_each_hand(self) -> list[JointPath]:
         """The path of every hand by itself."""
@@ -56,16 +48,8 @@ def pair_path(
 ) -> PairPath:
     """Joint paths of both arms; raises AttemptFailed(UNREACHABLE) outside the joint limits.
 
-    Parameters
-    ----------
-    way : float64 (n + 1, 3)
-        World positions of the pair's origin.
-    theta : float
-        Yaw of the pair.
-    distances : float or float64 (n + 1,), for each hand
-        From the pair's origin to the tool centre point.
-    heights : float, for each hand
-        Of the tool centre points above the way.
+    ``way``, float64 (n + 1, 3), has world positions of the pair's origin, ``theta`` is its yaw. For each hand,
+    ``distances`` (float or float64 (n + 1,)) lead from the origin to the tool centre point, ``heights`` raise it.
     """
     p = attempt.parameters
     positions, outwards = [], []
