@@ -198,6 +198,7 @@ def test_subset_and_single_items_are_joined(dataset: StepDataset) -> None:
     assert equal(batch, dataset[[7, 8, 9]])
 
 
+@pytest.mark.filterwarnings("ignore:You are using .torch.load. with:FutureWarning")  # torch 2.4 unpickles tensors so
 @pytest.mark.parametrize("maps", ["quantised", "float32"])
 def test_batch_laws(release: rema_data.Release, maps: Delivery) -> None:
     batch = release.steps(maps=maps)[:6]
