@@ -76,7 +76,7 @@ CASES = [
     ("grasp", "labels", STEPS, cell(STEPS, "lift_m", 0.0, success=True), "did not lift"),
     ("grasp", "labels", STEPS, cell(STEPS, "arm", "middle"), "arm is not one of"),
     # the steps of an episode
-    ("grasp_push", "episodes", STEPS, cell(STEPS, "success", False, success=True, last=False), "goes on"),
+    ("grasp_push", "episodes", STEPS, cell(STEPS, "success", False, success=True, last=False), "episode continues"),
     ("grasp_push", "episodes", EPISODES, cell(STEPS, "success", True, success=False, last=False), "ends early"),
     ("grasp_push", "episodes", EPISODES, cell(EPISODES, "steps", 3), "steps is not 1 to 2"),
     ("grasp_push", "episodes", EPISODES, cell(EPISODES, "steps", 1, steps=2), "its episodes have"),
