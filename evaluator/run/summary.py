@@ -51,7 +51,7 @@ class _AuditNumbers(Audit):
     flipped: list[dict[str, Any]]
 
 
-@pydantic.with_config(extra="allow", strict=True)
+@pydantic.with_config(pydantic.ConfigDict(extra="allow", strict=True))
 class _Summary(TypedDict):
     """What neither the rows nor ``run.json`` tell; the rest is compared with them."""
 
