@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import time
+import types
 from pathlib import Path
 from typing import Any
 
@@ -155,7 +156,9 @@ def test_the_ray_engine_without_ray(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "rema[ray]" in caught.value.hint
 
 
-def test_how_many_simulators_an_engine_runs() -> None:
+def test_how_many_simulators_an_engine_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Ray reads its authentication when it is first imported, and the cluster of test_ray.py has its own.
+    monkeypatch.setitem(sys.modules, "ray", types.ModuleType("ray"))
     assert make_engine("inline", 7).workers == 1
     assert make_engine("process", 7).workers == make_engine("ray", 7).workers == 7
     assert make_engine("process").workers == default_workers()
