@@ -65,7 +65,7 @@ def newest(session: nox.Session) -> None:
 def lowest(session: nox.Session) -> None:
     """The tests with the lowest versions that pyproject.toml allows for what rema itself imports."""
     session.install("uv")
-    session.run("uv", "pip", "install", "--resolution", "lowest-direct", ".[test]")
+    session.run("uv", "pip", "install", "--upgrade", "--resolution", "lowest-direct", ".[test]")
     session.run("pytest", *session.posargs)
 
 
