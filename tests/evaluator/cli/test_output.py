@@ -38,7 +38,7 @@ VERB_CASES: dict[str, tuple[str, tuple[str, ...]]] = {
     "download": ("--source {here}/mirror", ("{here}/mirror", "{here}/home/releases/tiny")),
     "stats": ("{here}/mirror/tiny --plot {new}.png", ("{new}.png",)),
     "verify": ("{here}/damaged/tiny", ("in {here}/damaged", "round-1/grasp/train/steps.parquet", LONG)),
-    "doctor": ("--seconds 0", ("REMA_HOME is {here}/home", "{here}/home/releases/tiny")),
+    "doctor": ("--seconds 0", ("REMA_HOME is {here}/home", "{here}/home/releases/fetched")),
     "preview": ("--release {here}/mirror/tiny --count 1 --table --output {new}.png", ("{new}.png: 1 steps",)),
     "export": ("{here}/mirror/tiny --output {new}", ("{new}/grasp.hdf5", "{new}/push.hdf5")),
     "import": ("{here}/exported --output {new}", ("{new}/tiny: ",)),
@@ -103,6 +103,7 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_manifests(folder / "manifests")
         made = make_release(folder / "mirror", tasks=("grasp", "push"), episodes=2)
         register(made.manifest)
+        make_release(folder / "home" / "releases", name="fetched", tasks=("grasp",), episodes=2)
         damaged = Path(shutil.copytree(made.path, folder / "damaged" / "tiny"))
         (damaged / "round-1" / "grasp" / "train" / "steps.parquet").unlink()
         (damaged / LONG).touch()
