@@ -49,7 +49,7 @@ def refuse_foreign(positions: Any, source: str, rows: int) -> None:
     """Raise InputError where positions count in another table than that of a dataset with these rows."""
     if isinstance(positions, Positions) and (positions.rows != rows or positions.source not in (None, source)):
         raise InputError(
-            f"the positions count in another table ({positions.rows:,} rows) than that of this dataset ({rows:,} steps)",
+            f"the positions count in another table ({positions.rows:,} rows) than this dataset's ({rows:,} steps)",
             hint=f"sample the dataset that the loader reads; for some of its steps: {_SELECT}",
             source=positions.source,
         )
@@ -70,10 +70,8 @@ def refuse_changed_rows(table: Any) -> None:
     if mark is None:
         return
     order = _order(table)
-    counted = (
-        bool((np.asarray(table.index) == np.arange(len(table))).all()) if order is None else order == mark["order"]
-    )
-    if len(table) != mark["rows"] or not counted:
+    numbered = bool((np.asarray(table.index) == np.arange(len(table))).all())
+    if len(table) != mark["rows"] or not (numbered if order is None else order == mark["order"]):
         raise InputError(
             f"rows of this table were picked or sorted: it has {len(table):,}, and its dataset {mark['rows']:,}, "
             "where a row number of this table is another step",

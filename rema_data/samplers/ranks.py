@@ -1,4 +1,4 @@
-"""Which part of every global batch this process gets: a wrong answer trains every process on the same data, silently."""
+"""Which part of every global batch this process gets: a wrong answer would train several on the same data."""
 
 from __future__ import annotations
 

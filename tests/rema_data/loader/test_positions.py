@@ -139,4 +139,4 @@ def test_positions_are_lists_that_pickle() -> None:
     assert again == [3, 1] and (again.source, again.rows) == ("of this", 9)
     joined: list[int] = []
     joined += rows  # as accelerate joins them
-    assert joined == [3, 1] and rows[:1] == [3] and rows + [2] == [3, 1, 2]
+    assert joined == [3, 1] and rows[:1] == [3] and [*rows, 2] == [3, 1, 2]
