@@ -43,7 +43,7 @@ def write_tables(folder: RunFolder, plan: Plan, scenarios: ScenarioList, ledger:
     }
     for name, content in files.items():
         folder.write(name, content)
-    folder.write(TIMINGS_FILE, to_parquet(timings_table(ledger, len(plan.scenarios))))
+    folder.write(TIMINGS_FILE, to_parquet(timings_table(ledger, len(plan.scenarios)), page_checksums=True))
     return RunTables(table, merkle_root(leaves), files)
 
 

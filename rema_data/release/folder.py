@@ -48,7 +48,8 @@ class ReleaseFolder:
         """Reader of a block."""
         from rema_data.store.block import BlockReader
 
-        return BlockReader(self.root / entry.holder / entry.key.path, self._repair_hint)
+        folder = self.root / entry.holder / entry.key.path
+        return BlockReader(folder, self._repair_hint, entry.episodes, entry.steps)
 
     def blocks(self) -> tuple[BlockEntry, ...]:
         """The blocks that are here whole."""
