@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 __all__ = ["ReleaseFolder", "downloads_folder", "find_release", "local_sources"]
 
+_MORE_ROWS = 1000
+"""How many more rows than twice those of the manifest a table may have and be read, so that a check can name them."""
+
 
 @dataclass(frozen=True)
 class ReleaseFolder:
@@ -49,7 +52,8 @@ class ReleaseFolder:
         from rema_data.store.block import BlockReader
 
         folder = self.root / entry.holder / entry.key.path
-        return BlockReader(folder, self._repair_hint, entry.episodes, entry.steps)
+        most = (2 * count + _MORE_ROWS for count in (entry.episodes, entry.steps))
+        return BlockReader(folder, self._repair_hint, *most)
 
     def blocks(self) -> tuple[BlockEntry, ...]:
         """The blocks that are here whole."""

@@ -85,6 +85,7 @@ def trials(names: Sequence[str], count: int, seed: int = 0) -> Iterator[Trial]:
             last = Trial(**content)
             begun = None
             yield last
+        worker.stdout.close()
         code = worker.wait()
         if begun is None:
             if code:
