@@ -38,6 +38,13 @@ def _names(context: click.Context, parameter: click.Parameter, value: str | None
 @click.option("--rotate/--no-rotate", default=True, show_default=True, help="Turn grasps.")
 @click.option("--mirror/--no-mirror", default=True, show_default=True, help="Mirror pushes.")
 @click.option("--seed", type=int, default=0, show_default=True)
+@click.option(
+    "--precision",
+    type=click.Choice(["float32", "bfloat16"]),
+    default="float32",
+    show_default=True,
+    help="Of the layers while they learn; weights are float32.",
+)
 @click.option("--validate-every", type=int, default=2_000, show_default=True, help="Updates between two validations.")
 @click.option("--validation-steps", type=int, default=1_000, show_default=True)
 @click.option("--width", type=int, default=64, show_default=True, help="Channels of the widest layers.")

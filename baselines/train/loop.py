@@ -138,7 +138,9 @@ class _Training:
         """One update; the loss, still on the device."""
         for group in self.optimiser.param_groups:
             group["lr"] = self.config.learning_rate * self.rate()
-        pair = pixel_logits(self.network(samples.scene, samples.end_effector), samples.pixel)
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.precision == "bfloat16"):
+            logits = self.network(samples.scene, samples.end_effector)
+        pair = pixel_logits(logits, samples.pixel).float()
         loss = torch.nn.functional.cross_entropy(pair, samples.success.long())
         self.optimiser.zero_grad()
         torch.autograd.backward(loss)
