@@ -136,8 +136,8 @@ class _Part:
             planes = self._placed(np.moveaxis(hand, -1, 0)[None], torch.float32)
             turned = turn_end_effector(planes.expand(len(missing), -1, -1, -1), torch.tensor(missing).to(planes.device))
             laid = turned.to(self._dtype).contiguous(memory_format=torch.channels_last)
-            made = [self._network.encode_end_effector(some) for some in laid.split(self._at_once)]
-            kept.update(zip(missing, torch.cat(made).split(1), strict=True))
+            made = [self._network.encode_end_effector(some) for some in torch.split(laid, self._at_once)]
+            kept.update(zip(missing, torch.split(torch.cat(made), 1), strict=True))
         return torch.cat([kept[angle] for angle in chosen.tolist()])
 
     def _placed(self, maps: npt.NDArray[np.float32], dtype: torch.dtype | None = None) -> Tensor:
@@ -148,7 +148,7 @@ class _Part:
 def multiplies_bfloat16() -> bool:
     """Whether this processor has units for matrices of bfloat16 (AMX), with which they are many times faster."""
     supported = getattr(torch.cpu, "_is_amx_tile_supported", None)
-    return bool(supported and supported()) and torch.backends.mkldnn.is_available()
+    return bool(supported and supported())
 
 
 def folded(network: TaeNetwork) -> TaeNetwork:
