@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, SupportsIndex
 
 import numpy as np
 
@@ -85,8 +85,8 @@ class Release:
     def steps(
         self,
         tasks: Iterable[str] | None = None,
-        split: str | None = None,
-        rounds: Iterable[int] | int | None = None,
+        split: str | Iterable[str] | None = None,
+        rounds: Iterable[int] | SupportsIndex | None = None,
         skills: Iterable[str] | None = None,
         which: Which = "last",
         maps: Delivery = "quantised",
@@ -97,9 +97,9 @@ class Release:
         ----------
         tasks : iterable of str, optional
             By default all tasks of the release, whether they are on this machine or not.
-        split : str, optional
+        split : str or iterable of str, optional
             ``train`` or ``val``; by default both.
-        rounds : iterable of int, optional
+        rounds : int or iterable of int, optional
             Collection rounds; by default all.
         skills : iterable of str, optional
             Keep the steps of these skills only (column ``skill``).
@@ -120,7 +120,7 @@ class Release:
         """
         if which not in ("last", "all", "picks"):
             raise InputError(f"which={which!r} names no steps", hint="use which='last', 'all' or 'picks'")
-        chosen = self.manifest.select(tasks, [rounds] if isinstance(rounds, int) else rounds, split)
+        chosen = self.manifest.select(tasks, rounds, split)
         self.folder.require(chosen)
         from rema_data.loader.dataset import StepDataset, identity  # torch is imported here, and not before
 
