@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+import time
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from multiprocessing.connection import Connection
@@ -16,6 +17,7 @@ from typing import Any
 
 from evaluator.engines.base import signal_name
 from evaluator.engines.worker import VALUE, die_with
+from rema_data import interrupts
 from rema_data.errors import InfrastructureError
 
 __all__ = ["Child", "call_in_child", "process_pool"]
@@ -80,7 +82,12 @@ def call_in_child(target: str, timeout_s: float = 120.0) -> Any:
     child = Child("call", target)
     message: tuple[Any, ...] = ()
     try:
-        if child.channel.poll(timeout_s):
+        deadline = time.monotonic() + timeout_s
+        while not child.channel.poll(interrupts.POLL_S):
+            interrupts.check()
+            if time.monotonic() > deadline:
+                break
+        else:
             with suppress(EOFError, OSError):
                 message = child.channel.recv()
     finally:

@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
+from rema_data import interrupts
 from rema_data.convert.base import ExportedFile, ExportPlan
 from rema_data.convert.hdf5_file import FORMAT, VERSION, new_file, open_file, reading
 from rema_data.convert.layout import obs_of_end_effectors, obs_of_scenes, to_array, trajectory
@@ -128,6 +129,7 @@ class _Writer:
                 if options.next_obs:
                     _write_obs(demo, "next_obs", name, np.concatenate([obs[1:], obs[-1:]]))
             self._check()
+            interrupts.check()
 
     def _new_demo(self, row: dict[str, Any]) -> h5py.Group:
         name = f"demo_{self._demos}"

@@ -7,12 +7,14 @@ import os
 import shlex
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 from rema_data.download.plan import DownloadReport, Plan, check_space, make_plan
 from rema_data.download.pool import Outcome, fetch_files
 from rema_data.download.sources import Source
-from rema_data.errors import InputError, IntegrityError, MissingFileError, RunMismatchError, StorageError
+from rema_data.errors import InputError, IntegrityError, MissingFileError, RunMismatchError
+from rema_data.locks import LOCAL_HOME, lock
 from rema_data.progress import Progress, Silent
 from rema_data.release.folder import ReleaseFolder, downloads_folder, local_sources
 from rema_data.release.manifest import MANIFEST, Manifest, parse_manifest
@@ -24,7 +26,6 @@ __all__ = ["download", "fetch_again"]
 JOBS = 8
 _LISTED = 5
 """So many reasons why files could not be fetched are named in the error."""
-_POLL_S = 0.1
 _LOG = logging.getLogger(__name__)
 
 
@@ -202,26 +203,13 @@ def _check_name_is_free(folder: ReleaseFolder) -> None:
 @contextmanager
 def _locks(root: Path, holders: Iterable[str], progress: Progress) -> Iterator[None]:
     """Keep other processes out of some folders. The order is fixed, so that two never wait for each other."""
-    from filelock import FileLock, Timeout
-
     with ExitStack() as stack:
         for holder in sorted(holders):
             path = root / f".{holder}.lock"
             with storage_errors(path):
                 root.mkdir(parents=True, exist_ok=True)
-                lock = FileLock(path)
-                try:
-                    lock.acquire(blocking=False)
-                except Timeout:
-                    progress.note(f"another process downloads {holder}: waiting for it")
-                    lock.acquire(poll_interval=_POLL_S)
-                except NotImplementedError as error:
-                    raise StorageError(
-                        f"the file system of {root} has no file locks",
-                        hint="set REMA_HOME to a folder on a local disk",
-                        path=str(path),
-                    ) from error
-            stack.callback(lock.release)
+                waiting = partial(progress.note, f"another process downloads {holder}: waiting for it")
+                stack.enter_context(lock(path, wait=True, waiting=waiting, hint=LOCAL_HOME))
         yield
 
 

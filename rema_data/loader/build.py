@@ -13,7 +13,8 @@ import shutil
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,7 @@ from rema_data.loader.cache import DecodedCache, MapArrays, MemoryCache, cache_n
 from rema_data.loader.decode import MAP_ARRAYS, decode_blocks, map_rows, row_bytes
 from rema_data.loader.index import Categories, Index
 from rema_data.loader.record import is_whole, write_record
+from rema_data.locks import lock
 from rema_data.progress import Progress
 from rema_data.schema import Embodiment
 from rema_data.storage import storage_errors, sync_file, sync_folder
@@ -55,21 +57,13 @@ def open_cache(
     folder = caches_folder() if folder is None else folder
     path = folder / cache_name(release, blocks)
     if not is_whole(path):
-        from filelock import FileLock, Timeout  # only a builder needs it: a ready cache opens without
-
-        with _cache_errors(path):
-            folder.mkdir(parents=True, exist_ok=True)
-            lock = FileLock(folder / f"{path.name}.lock")
-            try:
-                lock.acquire(timeout=1.0)
-            except Timeout:
-                _LOG.info("waiting for another process that decodes %s", release.manifest.name)
-                lock.acquire()
-        try:
+        waiting = partial(_LOG.info, "waiting for another process that decodes %s", release.manifest.name)
+        with ExitStack() as stack:
+            with _cache_errors(path):
+                folder.mkdir(parents=True, exist_ok=True)
+                stack.enter_context(lock(folder / f"{path.name}.lock", wait=True, waiting=waiting))
             if not is_whole(path):
                 _build(release, blocks, path, progress)
-        finally:
-            lock.release()
     return DecodedCache(path)
 
 
