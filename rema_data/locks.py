@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from rema_data.environment import HOME
 from rema_data.errors import StorageError
@@ -38,9 +39,9 @@ def lock(
     Raises Busy where another process holds it, or waits for that process (``wait``) and calls ``waiting`` once. Raises
     StorageError, with ``hint``, where the file system has no locks; other errors of the system pass through.
     """
-    from filelock import FileLock, Timeout  # takes its time to import
+    from filelock import Timeout  # takes its time to import
 
-    held, told = FileLock(path), False
+    held, told = _file_lock(path), False
     while True:
         try:
             held.acquire(timeout=0)
@@ -63,3 +64,13 @@ def lock(
         yield
     finally:
         held.release()
+
+
+def _file_lock(path: Path) -> Any:
+    """A lock that refuses a file system without locks: files in their place stay behind when a process is killed."""
+    from filelock import FileLock
+
+    try:
+        return FileLock(path, fallback_to_soft=False)
+    except TypeError:  # an earlier filelock: it always refuses
+        return FileLock(path)

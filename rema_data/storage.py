@@ -146,7 +146,7 @@ def new_file(path: Path) -> Iterator[io.BufferedRandom]:
         path.parent.mkdir(parents=True, exist_ok=True)
         with temporary_file(path) as (temporary, descriptor):
             try:
-                with os.fdopen(descriptor, "w+b") as file:
+                with open(temporary, "w+b", opener=lambda *_: descriptor) as file:
                     yield file
                     file.flush()
                     os.fsync(file.fileno())
@@ -168,10 +168,10 @@ def write_atomic(path: Path, data: bytes | str) -> None:
             raise not_written(path)
 
 
-def not_written(path: Path) -> StorageError:
+def not_written(path: Path, where: str = "") -> StorageError:
     """The error about a file that reads differently from what was written to it."""
     return StorageError(
-        f"{path} was not written: what was read back is not what was written",
+        f"{path} was not written: what was read back is not what was written{where and f' ({where})'}",
         hint="run the same command again; if it happens again, check the disk or choose another folder",
         path=str(path),
     )

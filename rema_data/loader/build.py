@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from rema_data import interrupts
 from rema_data.errors import StorageError
 from rema_data.loader.cache import DecodedCache, MapArrays, MemoryCache, cache_name, caches_folder
 from rema_data.loader.decode import MAP_ARRAYS, decode_blocks, map_rows, row_bytes
@@ -29,7 +30,7 @@ from rema_data.loader.record import is_whole, write_record
 from rema_data.locks import lock
 from rema_data.progress import Progress
 from rema_data.schema import Embodiment
-from rema_data.storage import storage_errors, sync_file, sync_folder
+from rema_data.storage import not_written, storage_errors, sync_file, sync_folder
 
 if TYPE_CHECKING:
     from rema_data.release.folder import ReleaseFolder
@@ -109,6 +110,9 @@ def _build(release: ReleaseFolder, blocks: Sequence[BlockEntry], path: Path, pro
         share_repeats(index, categories, sink.open())
         with _cache_errors(path):
             np.save(temporary / "index.npy", index)
+            sink.check()
+            if not np.array_equal(np.load(temporary / "index.npy"), index):
+                raise not_written(path / "index.npy")
             files = sorted(temporary.iterdir())
             for file in files:
                 sync_file(file)
@@ -158,6 +162,7 @@ class _FileSink:
     def __init__(self, folder: Path, rows: dict[str, int]) -> None:
         self._folder = folder
         self._begin: dict[str, int] = {}
+        self._digests: dict[tuple[str, int, int], bytes] = {}  # of what was put, by array, first row and bytes
         for name, count in rows.items():
             dtype, shape = MAP_ARRAYS[name]
             header = io.BytesIO()
@@ -172,8 +177,20 @@ class _FileSink:
     def put(self, name: str, start: int, rows: Array) -> None:
         path = self._folder / f"{name}.npy"
         with _cache_errors(path), path.open("rb+") as file:
+            data = np.ascontiguousarray(rows).data
             file.seek(self._begin[name] + start * row_bytes(name))
-            file.write(np.ascontiguousarray(rows).data)
+            file.write(data)
+            self._digests[name, start, data.nbytes] = hashlib.sha256(data).digest()
+
+    def check(self) -> None:
+        """Read everything back; StorageError where it is not what was put."""
+        for (name, start, size), digest in sorted(self._digests.items()):
+            interrupts.check()
+            path = self._folder / f"{name}.npy"
+            with path.open("rb") as file:
+                file.seek(self._begin[name] + start * row_bytes(name))
+                if hashlib.sha256(file.read(size)).digest() != digest:
+                    raise not_written(path)
 
     def open(self) -> MapArrays:
         return DecodedCache(self._folder).maps
