@@ -11,16 +11,18 @@ Without a listener the Python rule holds: SIGINT raises KeyboardInterrupt. ``hel
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
 
-__all__ = ["GRACE_S", "POLL_S", "Interrupted", "check", "held", "listen", "listening", "requested"]
+__all__ = ["GRACE_S", "POLL_S", "Interrupted", "check", "held", "leave", "listen", "listening", "requested"]
 
 GRACE_S = 4.0
 """So long a process has to end by itself after the first signal."""
@@ -92,6 +94,11 @@ class _Listener:
             signal.set_wakeup_fd(self._wakeup_before)
             os.close(self._wakeup)
 
+    def ignore(self) -> None:
+        """From now on the signals mean nothing."""
+        for kind in self._before:
+            signal.signal(kind, signal.SIG_IGN)
+
     def forget(self) -> None:
         """In a forked child: stopping is its parent's business, and the pipe is its parent's."""
         self.number = None
@@ -120,6 +127,16 @@ def listen() -> None:
     global _listener
     if _listener is None and threading.current_thread() is threading.main_thread():
         _listener = _Listener(_SIGNALS, GRACE_S)
+        atexit.register(_listener.ignore)  # called last: nothing is left to stop, and Python takes its handlers away
+
+
+def leave(code: int) -> NoReturn:
+    """End this process after its work was stopped: unloading large libraries can take longer than ``GRACE_S``."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError, AttributeError):
+            stream.flush()
+    atexit._run_exitfuncs()  # such as the removal of temporary folders
+    os._exit(code)
 
 
 @contextmanager

@@ -12,4 +12,9 @@ def main() -> None:
     interrupts.listen()
     from evaluator.cli.main import cli
 
-    cli(prog_name="rema")
+    try:
+        cli(prog_name="rema")
+    except SystemExit as end:
+        if interrupts.requested() and isinstance(end.code, int):
+            interrupts.leave(end.code)
+        raise
