@@ -86,7 +86,9 @@ class _Verbs(click.Group):
         try:
             with interrupts.listening():
                 interrupts.check()
-                return super().invoke(ctx)
+                done = super().invoke(ctx)
+                interrupts.check()  # a loop around this command is to stop, too
+                return done
         except RemaError as error:
             note(f"rema: {error}")
             ctx.exit(error.exit_code)

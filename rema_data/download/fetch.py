@@ -40,12 +40,13 @@ def download(
     dry_run: bool = False,
     progress: Progress | None = None,
     manifest: str | os.PathLike[str] | None = None,
+    verify: bool = False,
 ) -> DownloadReport:
     """Bring a release, or a part of it, onto this machine.
 
-    A file that is here with its size is not fetched again (``rema verify`` rehashes). Every other file is fetched to
-    ``FILE.part``, resumed where an earlier run stopped, and renamed when its sha256 is the manifest's. Blocks
-    that the release shares with an earlier one land in the earlier one's folder, once.
+    A file that is here with its size is not fetched again, unless ``verify`` finds it damaged. Every other file is
+    fetched to ``FILE.part``, resumed where an earlier run stopped, and renamed when its sha256 is the manifest's.
+    Blocks that the release shares with an earlier one land in the earlier one's folder, once.
 
     Parameters
     ----------
@@ -66,6 +67,8 @@ def download(
     progress : Progress, optional
     manifest : path, optional
         Manifest of a release that is not published.
+    verify : bool
+        Rehash the files that are here, and fetch the damaged ones again.
 
     Returns
     -------
@@ -92,7 +95,7 @@ def download(
     only_local = offline or _offline_by_environment()
     asked = _sources(sources, wanted, only_local)
     _check_name_is_free(folder)
-    plan = make_plan(folder, files)
+    plan = make_plan(folder, files, verify)
     sink = Silent() if progress is None else progress
     outcome = Outcome(0, {}, ())
     again = f"rema download {wanted.name}"
@@ -100,7 +103,7 @@ def download(
         again += f" --manifest {shlex.quote(os.fspath(manifest))}"
     if not dry_run and plan.missing:
         with _locks(folder.root, {entry.holder for entry in plan.missing}, sink):
-            plan = make_plan(folder, files)  # another process may have fetched them meanwhile
+            plan = make_plan(folder, files, verify)  # another process may have fetched them meanwhile
             outcome = _fetch(folder, plan, asked, jobs or JOBS, sink)
     _raise_undelivered(outcome, len(plan.files), folder, asked, only_local, again)
     if not dry_run:
