@@ -6,8 +6,6 @@ not its tables: the tables of the whole are made from all records, as those of a
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
@@ -24,6 +22,8 @@ from evaluator.runner.config import EvaluationResult
 from evaluator.runner.finalize import seal_run, write_tables
 from evaluator.scenarios import ScenarioList
 from rema_data.errors import InfrastructureError, InputError, RunMismatchError
+from rema_data.interrupts import check
+from rema_data.leftovers import temporary_folder
 from rema_data.storage import storage_errors
 
 __all__ = ["merge_runs"]
@@ -89,6 +89,7 @@ def _check_disjoint(shards: Sequence[RunFolder]) -> None:
     """Raise where two shards hold the same scenario."""
     owner: dict[int, Path] = {}
     for shard in shards:
+        check()
         indices = {row["index"] for name in (ANSWERS, OUTCOMES) for _, row in read_journal(shard.records, name)}
         for index in sorted(indices & owner.keys()):
             raise InputError(
@@ -104,14 +105,10 @@ def _staged(output: Path) -> Iterator[Path]:
     """A folder beside ``output`` that becomes it at the end, or is deleted."""
     with storage_errors(output):
         output.parent.mkdir(parents=True, exist_ok=True)
-        staging = Path(tempfile.mkdtemp(prefix=f".{output.name}.merging-", dir=output.parent))
-        staging.chmod(0o755)
-        try:
+        with temporary_folder(f".{output.name}.merging-", output.parent) as staging:
+            staging.chmod(0o755)
             yield staging
             staging.replace(output)
-        except BaseException:
-            shutil.rmtree(staging, ignore_errors=True)
-            raise
 
 
 def _copy_records(shards: Sequence[RunFolder], whole: RunFolder) -> None:
@@ -127,6 +124,7 @@ def _copy_records(shards: Sequence[RunFolder], whole: RunFolder) -> None:
                 rows: dict[int, list[dict[str, Any]]] = {}
                 for number, row in read_journal(source, name):
                     rows.setdefault(number, []).append(row)
+                check()
                 for number, some in rows.items():
                     with closing(Journal(target, name, numbers[number])) as journal:
                         journal.append(some)

@@ -18,6 +18,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from rema_data import grid
+from rema_data.interrupts import check
 from rema_data.schema import Observation, Situation
 from rema_data.storage import write_atomic
 
@@ -85,6 +86,7 @@ class ObservationCache:
         depths: list[npt.NDArray[np.uint16]] = []
         masks: list[npt.NDArray[np.bool_]] = []
         for n, situation in enumerate(situations):
+            check()
             seen = self._observe(situation)
             scenes[n] = seen.scene
             if (
