@@ -21,7 +21,7 @@ from evaluator.run.summary import PHASES
 from evaluator.run.tables import verdict
 from evaluator.runner.audit import ask_again, audit_summary, jobs_again, repeats
 from evaluator.runner.config import EvaluationConfig, EvaluationResult
-from evaluator.runner.finalize import seal_run, write_tables
+from evaluator.runner.finalize import remember_run, seal_run, write_tables
 from evaluator.runner.observation_cache import ObservationCache
 from evaluator.runner.questions import batches, check_faults, infer_batches, observe_batches, shuffled
 from evaluator.scenarios import ScenarioList, load_list
@@ -127,6 +127,8 @@ class _Run:
             self.folder.note_segment(seconds=rounded, finished=self._finished() - done)
         stopped_early = None if self.look is None else self.look(tables.results)
         summary = seal_run(self.folder, self.plan, self.ledger, tables, audit, stopped_early)
+        if failed is None:
+            remember_run(self.folder, self.plan, self.ledger, tables, self.backend)
         shutil.rmtree(self.own_cache, ignore_errors=True)
         if failed is not None:
             raise failed

@@ -23,7 +23,7 @@ from tests.evaluator.fakes import FakePolicyProcess, fake_backend, fake_config, 
 
 LONG = "grasp_grasp_push"
 EPISODES, COUNT, BATCH = 200, 3, 16
-SAME = ("results.parquet", "actions.bin", "leaves.bin")
+SAME = ("results.parquet", "actions.bin")
 
 
 def cut(whole: Path, folder: Path, indices: Iterable[int], shard: str) -> Path:
