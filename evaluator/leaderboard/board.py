@@ -45,6 +45,7 @@ def leaderboard(
     published: bool = True,
     *,
     simulate: bool = False,
+    engine: str = "process",
     progress: Progress | None = None,
     backend: Backend | None = None,
 ) -> Board:
@@ -54,7 +55,11 @@ def leaderboard(
     same actions are shown once. An unfinished or changed source is left out and named. The paper's rows are those of
     the tasks of the sources, or all where there is no source.
     """
-    read, refused = _read(sources, lambda run: verify(run, progress, backend=backend) if simulate else run, backend)
+
+    def settled(run: Run) -> Run:
+        return verify(run, progress, backend=backend, engine=engine) if simulate else run
+
+    read, refused = _read(sources, settled, backend)
     runs, copies = once(in_order(read, records()))
     standings, pairs = rank_runs(runs)
     whole = {

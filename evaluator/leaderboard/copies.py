@@ -17,15 +17,17 @@ COPY_SHARE = 0.9
 
 
 def in_order(runs: Sequence[Run], records: Mapping[str, Record]) -> list[Run]:
-    """Runs with the originals before their copies: entries in the order in which they were recorded, then others that
-    come with rema, other entries, and run folders; each by name and digest.
+    """Runs with the originals before their copies.
+
+    First what is verified; of that, entries in the order in which they were recorded, others that come with rema, run
+    folders (which show more than an entry), and other entries; each by name and digest.
     """
 
     def place(run: Run) -> tuple[object, ...]:
         record = records.get(run.digest) if run.kind == "entry" else None
         installed = run.kind == "entry" and run.source.resolve().parent == entry_folder().resolve()
         number = record.number if record is not None else float("inf")
-        return number, not installed, run.kind != "entry", run.policy, run.digest, str(run.source)
+        return not run.verified, number, not installed, run.kind == "entry", run.policy, run.digest, str(run.source)
 
     return sorted(runs, key=place)
 

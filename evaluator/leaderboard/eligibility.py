@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from evaluator.leaderboard.naming import name_problem
 from evaluator.leaderboard.verification import why_not
-from evaluator.protocol import ACTION_FLIP_LIMIT, INFRA_LIMIT, protocol_hash
+from evaluator.protocol import ACTION_FLIP_LIMIT, FAULT_LIMIT, INFRA_LIMIT, protocol_hash
+from evaluator.run.counts import Counts
 from evaluator.run.run import Run
 from evaluator.scenarios import SPLITS, installed_list
 
@@ -40,8 +42,16 @@ def rank_checks(run: Run) -> list[Check]:
         Check("episodes", episodes == count, str(count), str(episodes), f"{episodes:,} of {count:,} scenarios"),
         Check("protocol_hash", hashes.protocol_hash == ours, ours, hashes.protocol_hash, "another protocol version"),
         Check("name", not problem, "its own", problem or "ok", problem),
+        *(_answers(run.counts) if run.has_counts else ()),
         *(_run_checks(run) if run.kind == "run" else ()),
     ]
+
+
+def _answers(counts: Counts) -> Iterator[Check]:
+    """A policy that does not answer is no policy: `rema evaluate` stops there, and an entry has no rank."""
+    limit = int(FAULT_LIMIT * counts.eligible)
+    found = f"{counts.policy_errors:,} of {counts.eligible:,} episodes without a valid answer"
+    yield Check("policy_errors", counts.policy_errors <= limit, f"at most {limit}", str(counts.policy_errors), found)
 
 
 def _run_checks(run: Run) -> list[Check]:

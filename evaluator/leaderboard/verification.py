@@ -103,6 +103,7 @@ def verify(
     progress: Progress | None = None,
     *,
     backend: Backend | None = None,
+    engine: str = "process",
     workers: int | None = None,
     again: bool = False,
 ) -> Run:
@@ -121,13 +122,18 @@ def verify(
     if not again and (done := known(run, backend)).verified:
         return done
     world = backend or default_backend()
-    found = simulated(run, progress, backend=world, workers=workers)
+    found = simulated(run, progress, backend=world, engine=engine, workers=workers)
     remember(world_identity(world), run.comparable, run.actions, found)
     return _with(run, found)
 
 
 def simulated(
-    run: Run, progress: Progress | None = None, *, backend: Backend | None = None, workers: int | None = None
+    run: Run,
+    progress: Progress | None = None,
+    *,
+    backend: Backend | None = None,
+    engine: str = "process",
+    workers: int | None = None,
 ) -> Derived:
     """What the actions of a run or an entry give here, and now."""
     world = backend or default_backend()
@@ -148,6 +154,7 @@ def simulated(
         world,
         progress or Silent(),
         source=str(run.source),
+        engine=engine,
         workers=workers,
     )
 
@@ -190,7 +197,9 @@ def read_verified(path: Path, progress: Progress | None = None) -> Run:
     return verify(run, progress) if run.recorded is not None else run
 
 
-def write_record(run: Run, progress: Progress | None = None, *, backend: Backend | None = None) -> Path:
+def write_record(
+    run: Run, progress: Progress | None = None, *, backend: Backend | None = None, engine: str = "process"
+) -> Path:
     """Simulate an entry that comes with rema, and write its verification record, ``verified/NAME.json`` beside it.
 
     An InputError for anything else than such an entry; IntegrityError where its earlier record has other rows.
@@ -204,7 +213,7 @@ def write_record(run: Run, progress: Progress | None = None, *, backend: Backend
         )
     if problem := name_problem(run):
         raise SubmissionError(f"{run.source} is refused: {problem}", hint="choose another name", path=str(run.source))
-    found = simulated(run, progress, backend=backend)
+    found = simulated(run, progress, backend=backend, engine=engine)
     earlier, path = records(), folder / "verified" / run.source.name
     kept = earlier.get(run.digest)
     if (

@@ -75,7 +75,7 @@ def use_installation(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def write_entry(path: Path, folder: Path, **changes: Any) -> Path:
     """Write the entry of a run as `rema submit` does, without its checks; ``changes`` are of fields of ``Run``."""
     run = read_run(folder)
-    path.write_bytes(encode(dataclasses.replace(run, kind_of_policy=run.tag, **changes)))
+    path.write_bytes(encode(dataclasses.replace(run, **{"kind_of_policy": run.tag, **changes})))
     return path
 
 

