@@ -48,7 +48,6 @@ VERBS: dict[str, Verb] = {
     "evaluate": Verb("evaluator.cli.evaluate:evaluate", "Score a policy on frozen scenarios."),
     "merge": Verb("evaluator.cli.merge:merge", "Merge the shards of an evaluation."),
     "replay": Verb("evaluator.cli.replay:replay", "Check a finished run by simulating its actions again."),
-    "proof": Verb("evaluator.cli.proof:proof", "Prove that one episode is part of a run."),
     "leaderboard": Verb(
         "evaluator.cli.leaderboard:leaderboard", "Compare runs in one table, beside the paper's rates."
     ),

@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable, Iterable, Sequence
 from itertools import groupby
 
-from evaluator.leaderboard import PUBLISHED, Board, Row
+from evaluator.leaderboard import PUBLISHED, Board, Row, apart
 from evaluator.leaderboard.escape import one_line, to_csv, to_latex, to_markdown, web_link
 from evaluator.statistics import format_interval, percent
 from rema_data.schema import TASKS
@@ -60,7 +60,7 @@ def cells(row: Row) -> tuple[str, ...]:
         row.tag,
         row.protocol,
         "-" if row.rank is None else str(row.rank),
-        f"> {row.episodes}" if row.successes is None else f"{row.successes}/{row.episodes}",
+        _counted(row),
         "-" if row.rate is None else percent(row.rate),
         "-" if row.ci95 is None else format_interval(row.ci95),
         row.ties,
@@ -73,6 +73,12 @@ def cells(row: Row) -> tuple[str, ...]:
     )
 
 
+def _counted(row: Row) -> str:
+    if row.successes is not None:
+        return f"{row.successes}/{row.episodes}"
+    return f"> {row.episodes}" if row.tag == PUBLISHED else "-"
+
+
 def _funnel(row: Row) -> str:
     """Share of all measured episodes that passed each step, where the policy plays several."""
     if len(row.funnel) < 2 or not row.episodes:
@@ -81,12 +87,14 @@ def _funnel(row: Row) -> str:
 
 
 def titled_groups(board: Board) -> list[tuple[str, list[Row]]]:
-    """The tables of the board, one a task and protocol, each with its title."""
+    """The tables of the board, each with its title: one a task and protocol, and one for what is not verified there."""
     groups = []
-    for (task, protocol), found in groupby(board.rows, key=lambda row: (row.task, row.protocol)):
+    for (task, protocol, unverified), found in groupby(
+        board.rows, key=lambda row: (row.task, row.protocol, apart(row))
+    ):
         rows = list(found)
         marks = {(row.scenarios_hash, row.protocol_hash) for row in rows if row.scenarios_hash and not row.unranked}
-        title = f"{task}, {protocol}"
+        title = f"{task}, {protocol}" + (": not verified" if unverified else "")
         for scenarios, rules in sorted(marks):
             title += f" (scenarios {scenarios[:_SHORT_HASH]}, protocol {rules[:_SHORT_HASH]})"
         groups.append((title, rows))
@@ -96,22 +104,33 @@ def titled_groups(board: Board) -> list[tuple[str, list[Row]]]:
 def matrix(board: Board, protocol: str) -> tuple[list[str], list[list[str]]]:
     """The header and the lines of a table with one line a policy and one column a task: rate, interval and letters.
 
-    Policies without a rank are left out, except privileged and published ones. Empty cells: not scored.
+    Policies without a rank are left out, except privileged and published ones, and, after the others, those of which
+    nobody verified the numbers. Empty cells: not scored.
     """
-    shown = [row for row in board.rows if row.protocol == protocol and (not row.unranked or row.tag == PUBLISHED)]
+    shown = [
+        row
+        for row in board.rows
+        if row.protocol == protocol
+        and (not row.unranked or row.tag == PUBLISHED or (apart(row) and row.rate is not None))
+    ]
     tasks = [task for task in TASKS if any(row.task == task for row in shown)]
-    lines: dict[tuple[bool, str, str, int], dict[str, Row]] = {}
+    lines: dict[tuple[int, str, str, int], dict[str, Row]] = {}
     for row in shown:
         number = 1  # policies of one name stay apart
-        while row.task in lines.setdefault(key := (row.tag == PUBLISHED, row.policy, row.tag, number), {}):
+        while row.task in lines.setdefault(key := (_block(row), row.policy, row.tag, number), {}):
             number += 1
         lines[key][row.task] = row
     order = sorted(lines, key=lambda key: (key[0], -max(row.rate or 0.0 for row in lines[key].values()), key))
     return ["policy", "kind", *tasks], [
-        [key[1] + (f" ({key[3]})" if key[3] > 1 else ""), key[2]]
+        [key[1] + (f" ({key[3]})" if key[3] > 1 else ""), key[2] + (", not verified" if key[0] == 1 else "")]
         + [_short(lines[key][task]) if task in lines[key] else "" for task in tasks]
         for key in order
     ]
+
+
+def _block(row: Row) -> int:
+    """Verified rows stand first, then the others, then the published ones."""
+    return 2 if row.tag == PUBLISHED else int(apart(row))
 
 
 def _short(row: Row) -> str:

@@ -5,23 +5,14 @@ from __future__ import annotations
 import errno
 import json
 import secrets
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 from evaluator.run.environment import environment
 from evaluator.run.header import RUN_FILE, RUN_FORMAT, encode_header, read_header
-from evaluator.run.seal import (
-    ACTIONS_FILE,
-    LEAVES_FILE,
-    OLD_RESULTS_FILE,
-    RESULTS_FILE,
-    SUMMARY_FILE,
-    changed_parts,
-    make_seal,
-)
-from evaluator.run.signature import SIGNATURE_FILE
+from evaluator.run.seal import ACTIONS_FILE, OLD_RESULTS_FILE, RESULTS_FILE, SUMMARY_FILE, seal_of
 from rema_data.errors import InputError, RunMismatchError
 from rema_data.locks import Busy, has_no_locks, lock
 from rema_data.storage import storage_errors, write_atomic
@@ -34,7 +25,9 @@ _LOCK_FILE = ".lock"
 _LOCAL = "choose a folder on a local disk with --output"
 _NOT_WRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS)
 _RESULTS = (RESULTS_FILE, OLD_RESULTS_FILE, SUMMARY_FILE)
-_FILES = (RUN_FILE, RESULTS_FILE, ACTIONS_FILE, LEAVES_FILE, TIMINGS_FILE, SUMMARY_FILE, _LOG_FILE, SIGNATURE_FILE)
+_FILES = (RUN_FILE, RESULTS_FILE, ACTIONS_FILE, TIMINGS_FILE, SUMMARY_FILE, _LOG_FILE)
+_OF_EARLIER_FORMATS = (OLD_RESULTS_FILE, "leaves.bin", "run.json.sig")
+"""What a run that is sealed again has no use for."""
 
 
 @contextmanager
@@ -77,6 +70,7 @@ class RunFolder:
         self.header = header
         self._begun = False
         self._episodes = int(header["episodes"])
+        self._sealed = self._content() if "seal" in header else None
 
     @property
     def records(self) -> Path:
@@ -171,20 +165,28 @@ class RunFolder:
 
     def save(self) -> None:
         """Write ``run.json`` atomically, without its seal where that is of another content."""
-        if changed_parts(self.header):
-            del self.header["seal"]
-        payload = encode_header(self.header)
-        signature = self.path / SIGNATURE_FILE
-        if signature.exists() and payload.encode() != (self.path / RUN_FILE).read_bytes():
-            signature.unlink()  # it was made over what is replaced now
-        self.write(RUN_FILE, payload)
+        if self._sealed is not None and self._content() != self._sealed:
+            self.header.pop("seal", None)
+            self.header.pop("end", None)
+            self._sealed = None
+        self.write(RUN_FILE, encode_header(self.header))
 
-    def seal(self, files: Mapping[str, bytes], *, root: bytes, steps: Sequence[int], unfinished: int) -> None:
-        """Put a seal over ``run.json`` and ``files``, which are written already; see ``make_seal``."""
-        self.header.update(format=RUN_FORMAT, episodes=self._episodes)
-        self.header["seal"] = make_seal(self.header, files, root=root, steps=steps, unfinished=unfinished)
+    def _content(self) -> str:
+        return encode_header({name: value for name, value in self.header.items() if name != "seal"})
+
+    def prepare_seal(self, end: Mapping[str, Any]) -> None:
+        """Note in ``run.json`` what the summary needs besides the rows; the seal follows."""
+        self._sealed = None
+        self.header.pop("seal", None)
+        self.header.update(format=RUN_FORMAT, episodes=self._episodes, end=dict(end))
+
+    def seal(self, files: Mapping[str, bytes]) -> None:
+        """Put a seal over ``run.json`` and ``files``, results and action log, which are written already."""
+        self.header["seal"] = seal_of(self.header, files)
+        self._sealed = self._content()
         self.save()
-        (self.path / OLD_RESULTS_FILE).unlink(missing_ok=True)  # of an earlier format: written under its new name
+        for name in _OF_EARLIER_FORMATS:
+            (self.path / name).unlink(missing_ok=True)
 
     @property
     def policy_log(self) -> Path:

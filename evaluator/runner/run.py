@@ -17,11 +17,12 @@ from evaluator.rollout.simulate import check_infrastructure, pending_jobs, simul
 from evaluator.run.folder import RunFolder
 from evaluator.run.plan import Plan
 from evaluator.run.records import Ledger
+from evaluator.run.seal import ACTIONS_FILE
 from evaluator.run.summary import PHASES
 from evaluator.run.tables import verdict
-from evaluator.runner.audit import ask_again, audit_summary, jobs_again, repeats
+from evaluator.runner.audit import ask_again, audit_summary, jobs_again, repeats, seed_of
 from evaluator.runner.config import EvaluationConfig, EvaluationResult
-from evaluator.runner.finalize import seal_run, write_tables
+from evaluator.runner.finalize import remember_run, seal_run, write_tables
 from evaluator.runner.observation_cache import ObservationCache
 from evaluator.runner.questions import batches, check_faults, infer_batches, observe_batches, shuffled
 from evaluator.scenarios import ScenarioList, load_list
@@ -119,7 +120,7 @@ class _Run:
             tables = write_tables(self.folder, self.plan, self.scenarios, self.ledger)
             if failed is None and self.config.audit_share:
                 with self._timed("audit"):
-                    audit = self._audit()
+                    audit = self._audit(seed_of(tables.files[ACTIONS_FILE]))
         finally:
             self.ledger.close()
             self.seconds["total"] = time.perf_counter() - self.start
@@ -127,6 +128,8 @@ class _Run:
             self.folder.note_segment(seconds=rounded, finished=self._finished() - done)
         stopped_early = None if self.look is None else self.look(tables.results)
         summary = seal_run(self.folder, self.plan, self.ledger, tables, audit, stopped_early)
+        if failed is None:
+            remember_run(self.folder, self.plan, self.ledger, tables, self.backend)
         shutil.rmtree(self.own_cache, ignore_errors=True)
         if failed is not None:
             raise failed
@@ -223,10 +226,10 @@ class _Run:
         level = None if isolation is None else isolation.to_dict()
         self.folder.note_segment(isolation=level, device=self.config.device)
 
-    def _audit(self) -> dict[str, Any]:
+    def _audit(self, seed: bytes) -> dict[str, Any]:
         """Repeat what was not repeated yet, and compare."""
         config, backend = self.config, self.backend
-        wanted = repeats(self.plan, self.ledger, config.audit_share)
+        wanted = repeats(self.plan, self.ledger, config.audit_share, seed)
         with closing(Ledger(self.folder.repeats, self.folder.segment)) as again:
             unasked = sum((repeat.index, repeat.step) not in again.answers for repeat in wanted)
             jobs = jobs_again(wanted, self.ledger, again)

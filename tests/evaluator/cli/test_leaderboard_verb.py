@@ -14,9 +14,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from evaluator.cli.main import cli
-from evaluator.leaderboard.submission import make_entry
-from evaluator.run.entry import encode
-from tests.evaluator.runs import EPISODES, reseal, solved, write_manifests, write_run
+from tests.evaluator.runs import EPISODES, reseal, solved, use_installation, write_entry, write_run
 
 Write = Callable[..., Path]
 
@@ -24,8 +22,7 @@ Write = Callable[..., Path]
 @pytest.fixture
 def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Write:
     """``write(name, success, ...)`` writes ``runs/name`` below the working folder."""
-    write_manifests(tmp_path / "manifests")
-    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
+    use_installation(tmp_path, monkeypatch)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "140")
 
@@ -76,7 +73,7 @@ def test_runs_are_found_below_runs(write: Write) -> None:
 
 def test_entries_that_come_with_the_installation_are_shown(write: Write, tmp_path: Path) -> None:
     entry = tmp_path / "manifests" / "leaderboard" / "theirs.json"
-    entry.write_bytes(encode(make_entry(write("theirs", solved(0.5, 1)), "them")))
+    write_entry(entry, write("theirs", solved(0.5, 1)), policy="them")
     assert "them" in board("--no-published").stdout
     shown = board("--no-published", "--no-entries").stdout
     assert "theirs" in shown and "them " not in shown
@@ -114,7 +111,7 @@ def test_bad_runs(write: Write, tmp_path: Path) -> None:
     for content in ("{", "[]", "{}", '{"task": "grasp"}'):
         (broken / "summary.json").write_text(content)
         result = board(broken)
-        assert result.exit_code == 6 and "summary.json is not what was sealed" in result.stderr
+        assert result.exit_code == 6 and "broken is refused: summary.json" in result.stderr
         header = json.loads((broken / "run.json").read_text())
         unsealed = tmp_path / "runs" / "unsealed"
         shutil.copytree(broken, unsealed)

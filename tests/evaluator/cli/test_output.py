@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import logging
 import re
 import shutil
@@ -52,7 +51,6 @@ VERB_CASES: dict[str, tuple[str, tuple[str, ...]]] = {
     ),
     "merge": ("{here}/shard-1 {here}/shard-2 --output {new}", ("run folder: {new} (",)),
     "replay": ("{here}/fake --engine inline --fraction 0.1", ("root  {root}",)),
-    "proof": ("{here}/fake --episode 3", ("row",)),
     "leaderboard": (
         "{here}/a {here}/b {here}/unfinished",
         ("{here}/unfinished", f"my_policy_with_a_long_name  submitted     1  182/{EPISODES} "),
@@ -81,7 +79,6 @@ ERROR_CASES: dict[str, tuple[str, ...]] = {
     "evaluate": ("{gone}.py --task grasp", "random --task grasp --checkpoint {gone}"),
     "merge": ("{gone} --output {new}",),
     "replay": ("{gone}",),
-    "proof": ("{gone} --root 00",),
     "leaderboard": ("{gone}",),
     "report": ("{gone}", "{here}/fake --policy {gone}.py"),
     "compare": ("{gone} {here}/a",),
@@ -89,7 +86,7 @@ ERROR_CASES: dict[str, tuple[str, ...]] = {
     "scenarios": ("v9 --picker {gone}.py",),
 }
 """A missing file, or a name that does not exist, of every verb that takes one."""
-SAME_AGAIN = ("stats", "verify", "doctor", "leaderboard", "compare", "proof")
+SAME_AGAIN = ("stats", "verify", "doctor", "leaderboard", "compare")
 
 Rema = Callable[..., Result]
 
@@ -185,9 +182,7 @@ def rema(here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Rema:
 
 
 def _filled(text: str, here: Path, folder: Path) -> str:
-    root = json.loads((here / "fake" / "run.json").read_text())["seal"]["merkle_root"]
     names = {
-        "{root}": root,
         "{here}": here,
         "{new}": folder / "new" / LONG,
         "{gone}": here / "there-is-no-file-of-this-name",

@@ -13,8 +13,8 @@ import pytest
 
 from evaluator.leaderboard import Board, Row
 from evaluator.leaderboard.export import COLUMNS, cells, export, matrix
+from evaluator.run.audit import Audit
 from evaluator.run.counts import FunnelStep
-from evaluator.run.summary import Audit
 
 HOSTILE = "a|b<script>&\\_%$#{x}^~"
 ROW = Row(
@@ -32,6 +32,7 @@ ROW = Row(
     funnel=(FunnelStep(1, 1000, 450),),
     audit=Audit(30, 0, 30, 0),
     rank=1,
+    verified="here",
     ties="a",
     end_to_end=0.31,
     policy_digest="d" * 64,
