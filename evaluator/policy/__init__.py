@@ -9,10 +9,11 @@ from __future__ import annotations
 from evaluator.policy.contract import ObservationBatch, Policy, PrivilegedPolicy
 from evaluator.policy.faults import Answer, PolicyFault
 from evaluator.policy.host import PolicyHost
-from evaluator.policy.loading import PolicySpec, digest, resolve, weights_of
+from evaluator.policy.loading import PolicySpec, resolve, weights_of
 from evaluator.policy.named import NamedPolicy, find_named, kind_of, policy_names
 from evaluator.policy.sandbox.isolation import Isolation, Restriction
 from evaluator.policy.sandbox.limits import PolicyLimits
+from evaluator.policy.sandbox.snapshot import digest
 
 __all__ = [
     "Answer",

@@ -85,7 +85,7 @@ def _listen(request_fd: int, questions: queue.Queue[Frame]) -> None:
 
 def _load(order: dict[str, Any]) -> tuple[Any, bool]:
     path = Path(order["path"])
-    sys.path.insert(0, str(path.parent))
+    sys.path[:0] = [str(path.parent), *([order["import_root"]] if order["import_root"] else [])]
     name = f"submitted_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import logging
 import secrets
+import tempfile
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -20,9 +22,12 @@ from evaluator.policy.load_errors import LoadFailure, load_hint
 from evaluator.policy.loading import PolicySpec, check_checkpoint
 from evaluator.policy.output import CappedOutput, printable
 from evaluator.policy.process import ChildFailure, ChildProcess
+from evaluator.policy.sandbox.cleanup import CleanupShell, remove_folder
 from evaluator.policy.sandbox.isolation import Isolation, isolation_of
-from evaluator.policy.sandbox.launch_spec import LaunchSpec
+from evaluator.policy.sandbox.launch_spec import LaunchSpec, runs_beside
 from evaluator.policy.sandbox.limits import PolicyLimits
+from evaluator.policy.sandbox.snapshot import Snapshot, take_snapshot
+from evaluator.policy.sandbox.wrapper import check_sandbox
 from evaluator.policy.wire import REPLIES, Frame, batch_frame, frame_parts
 from rema_data import grid
 from rema_data.errors import InputError, SubmissionError
@@ -67,8 +72,12 @@ class PolicyHost:
         self._device = device
         self._limits = limits or PolicyLimits()
         self._log = log
-        run = log.parent if run is None and log is not None else run
-        self._launch = LaunchSpec(spec.path, self._checkpoint, self._limits, run, confine, sandbox)
+        self._run = log.parent if run is None and log is not None else run
+        self._confined, self._sandbox = confine, sandbox
+        check_sandbox(sandbox)
+        self._snapshot: Snapshot | None = None
+        self._folder: Path | None = None  # of the copy
+        self._cleanup: CleanupShell | None = None
         self._output = CappedOutput(log, self._limits.log_head_bytes, self._limits.log_tail_bytes)
         self._child: ChildProcess | None = None
         self._isolation: Isolation | None = None
@@ -107,8 +116,20 @@ class PolicyHost:
         """The kept part of what the policy printed."""
         return self._output.text()
 
+    @property
+    def digest(self) -> str:
+        """Digest of the copy that runs (``evaluator.policy.digest``); known after entering."""
+        return self._copy.digest
+
+    @property
+    def _copy(self) -> Snapshot:
+        if self._snapshot is None:
+            raise InputError("a policy is copied when its host is entered", hint="enter the host first")
+        return self._snapshot
+
     def __enter__(self) -> Self:
         try:
+            self._take()
             self._start()
         except BaseException:
             self._close()
@@ -150,7 +171,7 @@ class PolicyHost:
         if isinstance(reply, PolicyFault):
             return reply
         header, arrays = reply
-        return check_maps(arrays["answer"], len(batch)) if _answered(reply) else reported_fault(header)
+        return check_maps(arrays["answer"], len(batch)) if _answered(reply) else self._reported(header)
 
     def _ask_one_by_one(self, batch: ObservationBatch, shown: tuple[Situation, ...] | None) -> list[Answer]:
         """Find out which observations of a failed batch are faults.
@@ -182,8 +203,12 @@ class PolicyHost:
             shape = "".join(f", {size}" for size in answer.shape[1:]) or ","
             self.returned = f"{answer.dtype} (N{shape})"
             return check_answer(answer, batch.valid)
-        fault = reported_fault(header)
+        fault = self._reported(header)
         return fault if fault.reason == FaultReason.EXCEPTION else [fault] * len(batch)
+
+    def _reported(self, header: dict[str, Any]) -> PolicyFault:
+        fault = reported_fault(header)
+        return replace(fault, detail=self._copy.original(fault.detail))
 
     def _exchange(
         self, op: str, batch: ObservationBatch, shown: tuple[Situation, ...] | None, seconds: float, reply_bytes: int
@@ -230,14 +255,25 @@ class PolicyHost:
             )
         return self._overdrawn
 
+    def _take(self) -> None:
+        """Make the copy that every process of this host runs from."""
+        folder = Path(tempfile.mkdtemp(prefix="rema-copy-")).resolve()
+        self._folder = folder
+        self._cleanup = CleanupShell(folder)
+        runs = runs_beside(self._run)
+        self._snapshot = take_snapshot(self.spec, self._checkpoint, folder, runs)
+        self._launch = LaunchSpec(self._snapshot, self._limits, runs, self._confined, self._sandbox)
+
     def _start(self) -> None:
         limit_s = self._limits.start_s
+        copy = self._copy
         self._child = ChildProcess(self._output, self._launch)
         load: dict[str, Any] = {
             "op": "load",
-            "path": str(self.spec.path),
+            "path": str(copy.policy),
+            "import_root": None if copy.import_root is None else str(copy.import_root),
             "class_name": self.spec.class_name,
-            "checkpoint": None if self._checkpoint is None else str(self._checkpoint),
+            "checkpoint": None if copy.checkpoint is None else str(copy.checkpoint),
             "device": self._device,
         }
         try:
@@ -258,7 +294,7 @@ class PolicyHost:
 
     def _confine(self, child: ChildProcess) -> None:
         """Restrict the process, before anything of the policy is read."""
-        sandbox = self._launch.sandbox
+        sandbox = self._sandbox
         try:
             report, _ = child.ask(frame_parts(self._launch.orders(child.folder)), self._limits.start_s, 0)
         except ChildFailure as failure:
@@ -276,12 +312,13 @@ class PolicyHost:
 
     def _error(self, failure: LoadFailure) -> SubmissionError:
         self._drop()
-        path, where = self.spec.path, failure.where
-        message = f"policy {self.spec.name} cannot be used: {failure.message}"
+        original = self._copy.original
+        path, where = self.spec.path, original(failure.where)
+        message = f"policy {self.spec.name} cannot be used: {original(failure.message)}"
         if self.spec.named is not None and failure.explains_itself:
             # The code of an installed policy needs no fix: its checkpoint does.
             return SubmissionError(message, path=path)
-        hint = load_hint(failure, where or str(path), self.output, self._isolation, self._checkpoint)
+        hint = original(load_hint(failure, where or str(path), self.output, self._isolation, self._checkpoint))
         if self._log is not None and self._output.total:
             hint += f"\nits output is in {self._log}"
         return SubmissionError(message + (f" ({where})" if where else ""), hint=hint, path=path, where=where)
@@ -297,6 +334,12 @@ class PolicyHost:
             self._child.close()
             self._child = None
         self._output.settle()
+        if self._folder is not None:
+            remove_folder(self._folder)
+            self._folder = None
+        if self._cleanup is not None:
+            self._cleanup.dismiss()
+            self._cleanup = None
 
 
 def _answered(reply: Frame) -> bool:

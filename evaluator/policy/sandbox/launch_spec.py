@@ -14,10 +14,11 @@ import psutil
 from evaluator.policy.sandbox import kernel
 from evaluator.policy.sandbox.allowlist import allowed_for, packages_folder
 from evaluator.policy.sandbox.limits import PolicyLimits
+from evaluator.policy.sandbox.snapshot import Snapshot
 from evaluator.policy.sandbox.wrapper import check_sandbox, wrapped
 from rema_data.manifests import manifests_dir
 
-__all__ = ["LaunchSpec"]
+__all__ = ["LaunchSpec", "runs_beside"]
 
 _KEPT_VARIABLES = (
     "PATH", "USER", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "VIRTUAL_ENV", "CONDA_PREFIX", "PYTHONPATH", "LD_LIBRARY_PATH",
@@ -32,10 +33,9 @@ _RUN_FILE = "run.json"
 class LaunchSpec:
     """How the process of a policy is started. InputError where the wrapper's command cannot be used."""
 
-    policy: Path  # its file, absolute
-    checkpoint: Path | None = None  # absolute
+    snapshot: Snapshot  # the policy's files
     limits: PolicyLimits = field(default_factory=PolicyLimits)
-    run: Path | None = None  # folder of the run, which the policy must not read
+    hidden: tuple[Path, ...] = ()  # what else the policy must not read
     confine: bool = True  # whether the kernel restricts the process (Landlock, seccomp)
     sandbox: str | None = None  # a wrapper's command, see ``evaluator.policy.sandbox.wrapper``
 
@@ -50,8 +50,8 @@ class LaunchSpec:
             return python
         places = {
             "tmp": temporary,
-            "policy": self.policy.parent,
-            "checkpoint": self.checkpoint or self.policy.parent,
+            "policy": self.snapshot.policy.parent,
+            "checkpoint": self.snapshot.checkpoint or self.snapshot.policy.parent,
             "packages": packages_folder(),
             "python": Path(sys.prefix),
             "python_base": Path(sys.base_prefix),
@@ -66,7 +66,7 @@ class LaunchSpec:
         # A wheel's folder is on the path of the child anyway; naming it would put it before the standard library.
         root = packages_folder()
         own = [] if root.name in ("site-packages", "dist-packages") else [str(root)]
-        paths = [os.path.abspath(entry) for entry in (*own, *inherited)]
+        paths = [str(self.snapshot.moved(Path(os.path.abspath(entry)))) for entry in (*own, *inherited)]
         return {
             **kept,
             **({"PYTHONPATH": os.pathsep.join(paths)} if paths else {}),
@@ -89,18 +89,18 @@ class LaunchSpec:
         }
         if os.geteuid() != 0:  # the kernel counts the tasks of every user but root
             limits["RLIMIT_NPROC"] = _tasks_of_user() + self.limits.tasks
-        allowed = asdict(
-            allowed_for(self.policy, self.checkpoint, temporary, self.environment(temporary), self._runs())
-        )
+        hidden = (*self.hidden, *self.snapshot.hidden)
+        allowed = asdict(allowed_for(self.snapshot.read, temporary, self.environment(temporary), hidden))
         return {"op": "confine", "confine": self.confine, "limits": limits, "allowed": allowed}
 
-    def _runs(self) -> list[Path]:
-        """The folder of this run, and those beside it."""
-        if self.run is None:
-            return []
-        run = self.run.resolve()
-        beside = run.parent.iterdir() if run.parent.is_dir() else ()
-        return [run, *(folder for folder in beside if (folder / _RUN_FILE).is_file())]
+
+def runs_beside(run: Path | None) -> tuple[Path, ...]:
+    """The folder of a run, and those beside it."""
+    if run is None:
+        return ()
+    run = run.resolve()
+    beside = run.parent.iterdir() if run.parent.is_dir() else ()
+    return (run, *(folder for folder in beside if (folder / _RUN_FILE).is_file()))
 
 
 def _tasks_of_user() -> int:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from evaluator.policy import PolicyHost, digest, policy_names, resolve
-from evaluator.policy.imports import own_modules
+from evaluator.policy.sandbox.snapshot import own_modules
 from rema_data.errors import InputError, MissingFileError
 
 from .batches import make_batch
