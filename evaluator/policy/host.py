@@ -6,6 +6,7 @@ Every violation of the contract is counted as a fault.
 from __future__ import annotations
 
 import logging
+import os
 import secrets
 import tempfile
 from dataclasses import replace
@@ -24,7 +25,7 @@ from evaluator.policy.output import CappedOutput, printable
 from evaluator.policy.process import ChildFailure, ChildProcess
 from evaluator.policy.sandbox.cleanup import CleanupShell, remove_folder
 from evaluator.policy.sandbox.isolation import Isolation, isolation_of
-from evaluator.policy.sandbox.launch_spec import LaunchSpec, runs_beside
+from evaluator.policy.sandbox.launch_spec import LaunchSpec, runs_beside, unused_user
 from evaluator.policy.sandbox.limits import PolicyLimits
 from evaluator.policy.sandbox.snapshot import Snapshot, take_snapshot
 from evaluator.policy.sandbox.wrapper import check_sandbox
@@ -262,7 +263,11 @@ class PolicyHost:
         self._cleanup = CleanupShell(folder)
         runs = runs_beside(self._run)
         self._snapshot = take_snapshot(self.spec, self._checkpoint, folder, runs)
-        self._launch = LaunchSpec(self._snapshot, self._limits, runs, self._confined, self._sandbox)
+        user = unused_user() if self._confined else None
+        if user is not None:  # the copy is for the user that the process becomes
+            os.chown(folder, -1, user)
+            folder.chmod(0o750)
+        self._launch = LaunchSpec(self._snapshot, self._limits, runs, self._confined, user, self._sandbox)
 
     def _start(self) -> None:
         limit_s = self._limits.start_s

@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+import grp
 import os
+import pwd
+import secrets
 import site
+import stat
 import sys
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import psutil
 
-from evaluator.policy.sandbox import kernel
 from evaluator.policy.sandbox.allowlist import allowed_for, packages_folder
 from evaluator.policy.sandbox.limits import PolicyLimits
 from evaluator.policy.sandbox.snapshot import Snapshot
 from evaluator.policy.sandbox.wrapper import check_sandbox, wrapped
 from rema_data.manifests import manifests_dir
 
-__all__ = ["LaunchSpec", "runs_beside"]
+__all__ = ["LaunchSpec", "runs_beside", "unused_user"]
+
+_UNUSED_USERS = range(61184, 65520)
+"""Numbers that systems keep for users without an account (systemd: DynamicUser)."""
 
 _KEPT_VARIABLES = (
     "PATH", "USER", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "VIRTUAL_ENV", "CONDA_PREFIX", "PYTHONPATH", "LD_LIBRARY_PATH",
@@ -27,6 +34,7 @@ _KEPT_VARIABLES = (
 )  # fmt: skip
 """All that a policy inherits: enough to find its libraries and its device, nothing about the run."""
 _RUN_FILE = "run.json"
+_KERNEL = "evaluator.policy.sandbox.kernel"
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +45,7 @@ class LaunchSpec:
     limits: PolicyLimits = field(default_factory=PolicyLimits)
     hidden: tuple[Path, ...] = ()  # what else the policy must not read
     confine: bool = True  # whether the kernel restricts the process (Landlock, seccomp)
+    user: int | None = None  # that the process becomes, where the evaluator is root
     sandbox: str | None = None  # a wrapper's command, see ``evaluator.policy.sandbox.wrapper``
 
     def __post_init__(self) -> None:
@@ -45,7 +54,7 @@ class LaunchSpec:
     def command(self, temporary: Path) -> list[str]:
         """The words that start the process, whose working folder is ``temporary``."""
         # -P: a folder of modules named like those of the standard library must not come before them.
-        python = [sys.executable, "-P", str(Path(kernel.__file__).resolve())]
+        python = [sys.executable, "-P", "-m", _KERNEL]
         if self.sandbox is None:
             return python
         places = {
@@ -87,11 +96,23 @@ class LaunchSpec:
             "RLIMIT_FSIZE": self.limits.disk_bytes,
             "RLIMIT_NOFILE": self.limits.open_files,
         }
-        if os.geteuid() != 0:  # the kernel counts the tasks of every user but root
-            limits["RLIMIT_NPROC"] = _tasks_of_user() + self.limits.tasks
+        # The kernel counts the tasks of every user but root, which becomes a user that has none.
+        limits["RLIMIT_NPROC"] = self.limits.tasks + (0 if self.user is not None else _tasks_of_user())
         hidden = (*self.hidden, *self.snapshot.hidden)
         allowed = asdict(allowed_for(self.snapshot.read, temporary, self.environment(temporary), hidden))
-        return {"op": "confine", "confine": self.confine, "limits": limits, "allowed": allowed}
+        return {
+            "op": "confine",
+            "confine": self.confine,
+            "limits": limits,
+            "allowed": allowed,
+            "user": self.user,
+            "groups": sorted(_groups_of(allowed["devices"])),
+            "temporary": {
+                "path": str(temporary),
+                "bytes": self.limits.disk_bytes,
+                "files": self.limits.disk_files,
+            },
+        }
 
 
 def runs_beside(run: Path | None) -> tuple[Path, ...]:
@@ -101,6 +122,25 @@ def runs_beside(run: Path | None) -> tuple[Path, ...]:
     run = run.resolve()
     beside = run.parent.iterdir() if run.parent.is_dir() else ()
     return (run, *(folder for folder in beside if (folder / _RUN_FILE).is_file()))
+
+
+def unused_user() -> int | None:
+    """The number of a user and a group that no account has, where this process is root; else None."""
+    if os.geteuid() != 0:
+        return None
+    taken = {entry.pw_uid for entry in pwd.getpwall()} | {entry.gr_gid for entry in grp.getgrall()}
+    return secrets.choice([number for number in _UNUSED_USERS if number not in taken])
+
+
+def _groups_of(devices: Iterable[str]) -> set[int]:
+    """Groups that may use accelerators which not everybody may use."""
+    found = set()
+    for device in devices:
+        places = [Path(device), *(Path(device).iterdir() if os.path.isdir(device) else ())]
+        for about in (place.stat() for place in places):
+            if about.st_gid != 0 and not about.st_mode & stat.S_IROTH:
+                found.add(about.st_gid)
+    return found
 
 
 def _tasks_of_user() -> int:

@@ -183,6 +183,9 @@ def _copied(sources: Sources, target: Path) -> Hashes:
             place = target if entry.name == "." else target / entry.name
             place.parent.mkdir(parents=True, exist_ok=True)
             found.append((entry.name, _sha256(entry.source, place)))
+        for place in (target.parent, target, *target.rglob("*")):
+            if place.is_dir():
+                place.chmod(0o755)  # whatever the user's mask is
     return found
 
 
