@@ -29,7 +29,8 @@ from evaluator.policy.sandbox.launch_spec import LaunchSpec, runs_beside, unused
 from evaluator.policy.sandbox.limits import PolicyLimits
 from evaluator.policy.sandbox.snapshot import Snapshot, take_snapshot
 from evaluator.policy.sandbox.wrapper import check_sandbox
-from evaluator.policy.wire import REPLIES, Frame, batch_frame, frame_parts
+from evaluator.policy.sandbox_hints import Cause, Surroundings, sandbox_hint
+from evaluator.policy.wire import REPLIES, TAGS, Frame, batch_frame, frame_parts
 from rema_data import grid
 from rema_data.errors import InputError, SubmissionError
 from rema_data.schema import Situation
@@ -82,7 +83,7 @@ class PolicyHost:
         self._output = CappedOutput(log, self._limits.log_head_bytes, self._limits.log_tail_bytes)
         self._child: ChildProcess | None = None
         self._isolation: Isolation | None = None
-        self._privileged: bool | None = None
+        self._tags: dict[str, bool] = {}
         self._asked = 0  # observations
         self._waited_s = 0.0  # for processes that are gone
         self._overdrawn: PolicyFault | None = None
@@ -93,7 +94,12 @@ class PolicyHost:
     @property
     def privileged(self) -> bool:
         """Whether the policy is shown the ground truth; known after entering."""
-        return self._privileged is True
+        return self._tags.get("privileged", False)
+
+    @property
+    def simulator(self) -> bool:
+        """Whether the policy says that it carries a simulator or the scenario lists; known after entering."""
+        return self._tags.get("simulator", False)
 
     @property
     def isolation(self) -> Isolation:
@@ -147,12 +153,12 @@ class PolicyHost:
 
         ``situations`` are needed by a privileged policy (an InputError without them), and never shown to another one.
         """
-        if self._privileged and (situations is None or len(situations) != len(batch)):
+        if self.privileged and (situations is None or len(situations) != len(batch)):
             raise InputError("a privileged policy needs one situation an observation", hint="pass `situations`")
         if len(batch) == 0:
             return []
         self._asked += len(batch)
-        shown = situations if self._privileged else None
+        shown = situations if self.privileged else None
         answers = self._answers(batch, shown, self._limits.batch_s)
         if isinstance(answers, list):
             return answers
@@ -208,8 +214,15 @@ class PolicyHost:
         return fault if fault.reason == FaultReason.EXCEPTION else [fault] * len(batch)
 
     def _reported(self, header: dict[str, Any]) -> PolicyFault:
-        fault = reported_fault(header)
-        return replace(fault, detail=self._copy.original(fault.detail))
+        fault, around = reported_fault(header), self._surroundings()
+        hint = sandbox_hint(Cause.of(header), around)
+        detail = f"{fault.detail}; sandbox: {hint}" if hint else fault.detail
+        return replace(fault, detail=around.readable(detail))
+
+    def _surroundings(self) -> Surroundings:
+        assert self._child is not None
+        confined = self._isolation is not None and self._isolation.level != "L1"
+        return Surroundings(self.spec.path, self._copy, self._child.folder, self._limits, confined)
 
     def _exchange(
         self, op: str, batch: ObservationBatch, shown: tuple[Situation, ...] | None, seconds: float, reply_bytes: int
@@ -290,12 +303,12 @@ class PolicyHost:
             raise self._error(LoadFailure(why)) from None
         if header.get("ok") is not True:
             raise self._error(LoadFailure.of(header))
-        found = header.get("privileged") is True
-        if self._privileged not in (None, found):
-            # What the run says of the policy was taken from its first process.
-            was, now = (f"`privileged` {value}" for value in (self._privileged, found))
-            raise self._error(LoadFailure(f"started again it has {now}, at first it had {was}"))
-        self._privileged = found
+        tags = {tag: header.get(tag) is True for tag in TAGS}
+        for tag, was in self._tags.items():
+            if tags[tag] != was:
+                # What the run says of the policy was taken from its first process.
+                raise self._error(LoadFailure(f"started again it has `{tag}` {tags[tag]}, at first it had {was}"))
+        self._tags = tags
 
     def _confine(self, child: ChildProcess) -> None:
         """Restrict the process, before anything of the policy is read."""
@@ -316,14 +329,14 @@ class PolicyHost:
         self._isolation = found
 
     def _error(self, failure: LoadFailure) -> SubmissionError:
+        around = self._surroundings()
         self._drop()
-        original = self._copy.original
-        path, where = self.spec.path, original(failure.where)
-        message = f"policy {self.spec.name} cannot be used: {original(failure.message)}"
+        path, where = self.spec.path, around.readable(failure.where)
+        message = f"policy {self.spec.name} cannot be used: {around.readable(failure.message)}"
         if self.spec.named is not None and failure.explains_itself:
             # The code of an installed policy needs no fix: its checkpoint does.
             return SubmissionError(message, path=path)
-        hint = original(load_hint(failure, where or str(path), self.output, self._isolation, self._checkpoint))
+        hint = around.readable(load_hint(failure, where or str(path), self.output, self._checkpoint, around))
         if self._log is not None and self._output.total:
             hint += f"\nits output is in {self._log}"
         return SubmissionError(message + (f" ({where})" if where else ""), hint=hint, path=path, where=where)

@@ -81,6 +81,7 @@ class _Policy(TypedDict, total=False):
     file: str
     class_name: str
     privileged: bool
+    simulator: bool
 
 
 @pydantic.with_config(_OPEN)
