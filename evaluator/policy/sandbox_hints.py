@@ -175,7 +175,7 @@ def _denied(cause: Cause, around: Surroundings) -> str:
             return f"rule files: {original} may not be written: write to a file in tempfile.gettempdir()"
         if why := _left_out(original, around):
             return f"rule files: {original} is not in the copy that the policy runs from: {why}"
-        if path.is_relative_to(around.policy.parent):
+        if any(path.is_relative_to(folder) for folder in around.snapshot.places.values()):
             return f"rule files: a policy runs from a copy: read {path.name} beside __file__, and write nothing there"
         return _outside(path, around)
     if _in(cause.module, _PROCESSES):

@@ -16,6 +16,7 @@ import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from rema_data.errors import MissingFileError
@@ -30,6 +31,7 @@ __all__ = [
     "installation",
     "is_code",
     "packages_folder",
+    "python_folders",
     "scenario_lists",
     "secrets",
 ]
@@ -78,8 +80,8 @@ def allowed_for(
     """
     roots = [Path(root) for root in (*_SYSTEM, *(f"/etc/{name}" for name in _ETC))]
     roots += [Path(path) for name in _VENDORS for path in sorted(glob.glob(f"/opt/{name}*"))]
-    roots += _python_folders(environment)
-    others = _installations(roots)
+    roots += python_folders(environment)
+    others = _installations(tuple(dict.fromkeys(map(str, roots))))
     unseen = (*secrets(), *hidden, *(other / place for other in others for place in _LISTS))
     survey = _Survey(frozenset(path.resolve() for path in unseen), (*crowded_places(), *others))
     for root in roots:
@@ -106,15 +108,16 @@ def scenario_lists() -> list[Path]:
     return found
 
 
-def _installations(roots: Iterable[Path]) -> list[Path]:
+@cache
+def _installations(roots: tuple[str, ...]) -> tuple[Path, ...]:
     """Folders at ``roots``, or of the Python packages below them, that hold rema, resolved."""
     found = dict.fromkeys(
         Path(package).parent.resolve()
         for root in roots
         for place in _SITE_PACKAGES
-        for package in glob.glob(os.path.join(glob.escape(str(root)), place, "rema_data"))
+        for package in glob.glob(os.path.join(glob.escape(root), place, "rema_data"))
     )
-    return list(found)
+    return tuple(found)
 
 
 def packages_folder() -> Path:
@@ -133,9 +136,11 @@ def installation() -> set[Path]:
     return {path.resolve() for path in found}
 
 
-def _python_folders(environment: Mapping[str, str]) -> Iterator[Path]:
+def python_folders(environment: Mapping[str, str]) -> Iterator[Path]:
+    """The folders of Python and of everything that a process with this ``environment`` imports."""
     yield from sorted(installation())
-    yield from (Path(entry) for entry in sys.path if os.path.isabs(entry))
+    script = os.path.dirname(os.path.abspath(sys.argv[0]))  # the folder of this program is not on the policy's path
+    yield from (Path(entry) for entry in sys.path if os.path.isabs(entry) and entry != script)
     yield packages_folder()
     for name in _FOLDER_VARIABLES:
         yield from (Path(entry) for entry in environment.get(name, "").split(os.pathsep) if os.path.isabs(entry))

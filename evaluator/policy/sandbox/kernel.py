@@ -11,6 +11,7 @@ import importlib
 import json
 import os
 import resource
+import stat
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -40,8 +41,8 @@ def main() -> None:
     """Restrict this process, then serve (``evaluator.policy.child``).
 
     The first question holds ``confine`` (bool), ``allowed`` (see ``evaluator.policy.sandbox.allowlist``), ``limits``
-    (name of a limit of ``resource`` -> value), ``user`` (to become, if this is root) and its ``groups``, and for the
-    ``temporary`` folder its path and most ``bytes`` and ``files``.
+    (name of a limit of ``resource`` -> value), ``user`` (to become, if this is root) and its ``groups``, the folders of
+    modules that it ``imports``, and for the ``temporary`` folder its path and most ``bytes`` and ``files``.
     """
     keep_supervised()
     with suppress(OSError):  # where memory runs out, it is this process that has to go
@@ -70,12 +71,13 @@ def _confine(orders: dict[str, Any]) -> list[tuple[str, bool, str]]:
     user = None if in_user_namespace() else orders["user"]
     mounted = _try(mount_temporary, temporary["path"], temporary["bytes"], temporary["files"], user, needed)
     kept = ""
-    if user is not None and not mounted[0]:
-        os.chown(temporary["path"], user, user)
-        closed = [path for path in needed if os.path.exists(path) and barrier(path)]
+    if user is not None:
+        if not mounted[0]:
+            os.chown(temporary["path"], user, user)
+        closed = [path for path in orders["imports"] if _closed(path, mounted[0])]
         if closed:
             os.chown(temporary["path"], 0, 0)
-            user, kept = None, f"it stays root: another user cannot enter {barrier(closed[0])}"
+            user, kept = None, f"it stays root: another user cannot read {closed[0]}"
     restrictions = [
         (name, up, f"{detail}; {mounted[1]}" if name == "disk" and mounted[0] else detail)
         for name, up, detail in _limit(orders["limits"])
@@ -87,6 +89,14 @@ def _confine(orders: dict[str, Any]) -> list[tuple[str, bool, str]]:
     accelerators = any(os.path.basename(path) not in _PLAIN_DEVICES for path in allowed["devices"])
     landlock, filtered = _try(_restrict_files, allowed), _try(filter_calls, accelerators)
     return restrictions + tried(standing, {"landlock": landlock, "seccomp": filtered})
+
+
+def _closed(path: str, mounted: bool) -> bool:
+    """Whether another user cannot read a folder of modules; what is around it was opened where it was ``mounted``."""
+    everybody = stat.S_IROTH | stat.S_IXOTH
+    if not os.path.isdir(path):
+        return False
+    return os.stat(path).st_mode & everybody != everybody or (not mounted and bool(barrier(path)))
 
 
 def _take_standard_streams() -> tuple[int, int]:

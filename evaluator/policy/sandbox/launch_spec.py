@@ -16,7 +16,7 @@ from typing import Any
 
 import psutil
 
-from evaluator.policy.sandbox.allowlist import allowed_for, packages_folder
+from evaluator.policy.sandbox.allowlist import allowed_for, packages_folder, python_folders
 from evaluator.policy.sandbox.limits import PolicyLimits
 from evaluator.policy.sandbox.snapshot import Snapshot
 from evaluator.policy.sandbox.wrapper import check_sandbox, wrapped
@@ -98,14 +98,15 @@ class LaunchSpec:
         }
         # The kernel counts the tasks of every user but root, which becomes a user that has none.
         limits["RLIMIT_NPROC"] = self.limits.tasks + (0 if self.user is not None else _tasks_of_user())
-        hidden = (*self.hidden, *self.snapshot.hidden)
-        allowed = asdict(allowed_for(self.snapshot.read, temporary, self.environment(temporary), hidden))
+        hidden, environment = (*self.hidden, *self.snapshot.hidden), self.environment(temporary)
+        allowed = asdict(allowed_for(self.snapshot.read, temporary, environment, hidden))
         return {
             "op": "confine",
             "confine": self.confine,
             "limits": limits,
             "allowed": allowed,
             "user": self.user,
+            "imports": [str(path) for path in python_folders(environment)],
             "groups": sorted(_groups_of(allowed["devices"])),
             "temporary": {
                 "path": str(temporary),

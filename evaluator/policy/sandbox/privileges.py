@@ -22,7 +22,7 @@ _CLONE_NEWNS, _CLONE_NEWUSER = 0x20000, 0x10000000
 _MS_NOSUID, _MS_NODEV, _MS_BIND, _MS_REC, _MS_PRIVATE = 0x2, 0x4, 0x1000, 0x4000, 0x40000
 _MOUNT_SETATTR = 442
 _AT_FDCWD, _AT_RECURSIVE = -100, 0x8000
-_NOATIME, _ATIMES = 0x10, 0x70
+_RDONLY = 0x1
 _CAPABILITIES = ("CapInh", "CapPrm", "CapEff", "CapAmb")
 _LARGEST_CAPABILITY = 63
 _WHOLE_MAP = ["0", "0", str((1 << 32) - 1)]
@@ -54,14 +54,15 @@ def mount_temporary(folder: str, size: int, files: int, user: int | None, needed
         Path("/proc/self/uid_map").write_text(f"{own} {own} 1")
         Path("/proc/self/gid_map").write_text(f"{group} {group} 1")
     _check(library.mount(None, b"/", None, _MS_REC | _MS_PRIVATE, None), "mount /")
-    with suppress(OSError):
-        _keep_access_times(library)
     if user is not None:
         own, group = user, user
         _open_ways(library, sorted(needed))
     # Last: the folder may lie in one of those that were replaced.
     os.makedirs(folder, exist_ok=True)
     _mount_tmpfs(library, folder, f"size={size},nr_inodes={files},mode=700,uid={own},gid={group}")
+    with suppress(OSError):  # before Linux 5.12
+        _make_read_only(library, "/", _AT_RECURSIVE, True)
+        _make_read_only(library, folder, 0, False)
     os.chdir(folder)
     return f"tmpfs of {size} bytes and {files} files"
 
@@ -73,15 +74,12 @@ def _mount_tmpfs(library: ctypes.CDLL, folder: str, options: str) -> None:
     )
 
 
-def _keep_access_times(library: ctypes.CDLL) -> None:
-    """Reading a file must not note when: another process could see it."""
-    attributes = (ctypes.c_uint64 * 4)(_NOATIME, _ATIMES, 0, 0)
-    _check(
-        library.syscall(
-            _MOUNT_SETATTR, _AT_FDCWD, b"/", _AT_RECURSIVE, ctypes.byref(attributes), ctypes.sizeof(attributes)
-        ),
-        "mount_setattr",
-    )
+def _make_read_only(library: ctypes.CDLL, place: str, flags: int, yes: bool) -> None:
+    """Let nothing be written below a mount; reading a file does not even note when, for another process to see."""
+    attributes = (ctypes.c_uint64 * 4)(*((_RDONLY, 0) if yes else (0, _RDONLY)))
+    size = ctypes.sizeof(attributes)
+    call = library.syscall(_MOUNT_SETATTR, _AT_FDCWD, os.fsencode(place), flags, ctypes.byref(attributes), size)
+    _check(call, "mount_setattr")
 
 
 def barrier(path: str) -> str:

@@ -78,7 +78,7 @@ def take_snapshot(spec: PolicySpec, checkpoint: Path | None, folder: Path, hidde
         hashes = _copied(checkpoint_sources(weights), copy)
         places[copy] = weights
     if spec.named is not None:
-        read = (imports.outermost_folder(spec.path), *places)
+        read = (imports.outermost_folder(spec.path), *(place.parent for place in places))
         return Snapshot(folder, spec.path, copy, _identity(spec, _installed(spec), hashes), read, places=places)
     _must_exist(spec)
     sources = code_sources(spec.path, hidden)
@@ -92,7 +92,7 @@ def take_snapshot(spec: PolicySpec, checkpoint: Path | None, folder: Path, hidde
         code / spec.path.relative_to(sources.root),
         copy,
         identity,
-        tuple(places),
+        tuple(place.parent for place in places),
         code.parent if (sources.root / "__init__.py").is_file() else None,
         places,
         tuple(path for path in sources.hidden if not any(path.is_relative_to(one) for one in own)),
