@@ -81,7 +81,7 @@ def allowed_for(
     roots = [Path(root) for root in (*_SYSTEM, *(f"/etc/{name}" for name in _ETC))]
     roots += [Path(path) for name in _VENDORS for path in sorted(glob.glob(f"/opt/{name}*"))]
     roots += python_folders(environment)
-    others = _installations(tuple(dict.fromkeys(map(str, roots))))
+    others = {place for root in roots for place in _installations(root)}
     unseen = (*secrets(), *hidden, *(other / place for other in others for place in _LISTS))
     survey = _Survey(frozenset(path.resolve() for path in unseen), (*crowded_places(), *others))
     for root in roots:
@@ -109,15 +109,10 @@ def scenario_lists() -> list[Path]:
 
 
 @cache
-def _installations(roots: tuple[str, ...]) -> tuple[Path, ...]:
-    """Folders at ``roots``, or of the Python packages below them, that hold rema, resolved."""
-    found = dict.fromkeys(
-        Path(package).parent.resolve()
-        for root in roots
-        for place in _SITE_PACKAGES
-        for package in glob.glob(os.path.join(glob.escape(root), place, "rema_data"))
-    )
-    return tuple(found)
+def _installations(root: Path) -> tuple[Path, ...]:
+    """Folders that hold rema: ``root``, or those of Python packages below it; resolved."""
+    patterns = (os.path.join(glob.escape(str(root)), place, "rema_data") for place in _SITE_PACKAGES)
+    return tuple(Path(package).parent.resolve() for pattern in patterns for package in glob.glob(pattern))
 
 
 def packages_folder() -> Path:

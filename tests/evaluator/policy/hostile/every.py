@@ -30,8 +30,8 @@ def place(name: str) -> str:
 
 
 ASKING = (
-    "ReadsScenarios", "OpensSockets", "InspectsEvaluator", "SignalsEvaluator", "LocksFiles", "WatchesFiles", "SetsClock",
-    "RaisesPriority", "PinsItself", "SlowsEvaluator", "SetsFileTimes", "SetsModes", "ReadsOtherProcesses",
+    "ReadsScenarios", "OpensSockets", "InspectsEvaluator", "SignalsEvaluator", "LocksFiles", "WatchesFiles",
+    "SetsClock", "RaisesPriority", "PinsItself", "SlowsEvaluator", "SetsFileTimes", "SetsModes", "ReadsOtherProcesses",
 )  # fmt: skip
 """Some that leave nothing behind where their tries go through."""
 
