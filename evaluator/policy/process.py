@@ -65,7 +65,7 @@ class ChildProcess:
                 start_new_session=True,
             )
             try:
-                self._cleanup = CleanupShell(self._process.pid, self.folder)
+                self._cleanup = CleanupShell(self.folder, self._process.pid)
             except BaseException:
                 end_family(self._process, self.folder)
                 raise
