@@ -166,7 +166,8 @@ def _cause(error: BaseException) -> dict[str, Any]:
     """Of the first error in the chain that the sandbox may have caused: what the evaluator needs to explain it."""
     found: BaseException | None = error
     for _ in range(_CAUSES):
-        if found is None or isinstance(found, OSError | ImportError | MemoryError | KeyError):
+        system = isinstance(found, OSError) and found.errno is not None  # not one that a library raised in its name
+        if found is None or system or isinstance(found, ImportError | MemoryError | KeyError):
             break
         found = found.__cause__ or found.__context__
     found = found or error
