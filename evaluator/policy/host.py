@@ -330,13 +330,14 @@ class PolicyHost:
 
     def _error(self, failure: LoadFailure) -> SubmissionError:
         around = self._surroundings()
+        sandbox = sandbox_hint(failure.cause, around)
         self._drop()
         path, where = self.spec.path, around.readable(failure.where)
         message = f"policy {self.spec.name} cannot be used: {around.readable(failure.message)}"
         if self.spec.named is not None and failure.explains_itself:
             # The code of an installed policy needs no fix: its checkpoint does.
             return SubmissionError(message, path=path)
-        hint = around.readable(load_hint(failure, where or str(path), self.output, self._checkpoint, around))
+        hint = around.readable(load_hint(failure, where or str(path), self.output, self._checkpoint, sandbox))
         if self._log is not None and self._output.total:
             hint += f"\nits output is in {self._log}"
         return SubmissionError(message + (f" ({where})" if where else ""), hint=hint, path=path, where=where)
