@@ -29,6 +29,8 @@ _KIND_CHARACTERS = 200
 _CAUSES = 10
 _ANY_SIZE = 1 << 40
 
+_ANALYTICS = ("openvino_telemetry",)
+"""Modules that report the use of a library, and keep an identity under HOME; the library works without."""
 _LOOKS_UP_VARIABLE = type(os.environ).__getitem__.__code__
 
 __all__ = ["serve"]
@@ -47,6 +49,8 @@ def serve(request_fd: int, reply_fd: int, report: dict[str, Any]) -> None:
     questions: queue.Queue[Frame] = queue.Queue()
     threading.Thread(target=_listen, args=(request_fd, questions), daemon=True).start()
 
+    modules: dict[str, Any] = sys.modules
+    modules.update(dict.fromkeys(_ANALYTICS))  # they count as not installed
     order, _ = questions.get()
     own_folder = str(Path(order["path"]).parent) + os.sep
     try:
@@ -166,7 +170,8 @@ def _cause(error: BaseException) -> dict[str, Any]:
     """Of the first error in the chain that the sandbox may have caused: what the evaluator needs to explain it."""
     found: BaseException | None = error
     for _ in range(_CAUSES):
-        if found is None or isinstance(found, OSError | ImportError | MemoryError | KeyError):
+        system = isinstance(found, OSError) and found.errno is not None  # not one that a library raised in its name
+        if found is None or system or isinstance(found, ImportError | MemoryError | KeyError):
             break
         found = found.__cause__ or found.__context__
     found = found or error

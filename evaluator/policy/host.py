@@ -6,9 +6,7 @@ Every violation of the contract is counted as a fault.
 from __future__ import annotations
 
 import logging
-import os
 import secrets
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -23,11 +21,11 @@ from evaluator.policy.load_errors import LoadFailure, load_hint
 from evaluator.policy.loading import PolicySpec, check_checkpoint
 from evaluator.policy.output import CappedOutput, printable
 from evaluator.policy.process import ChildFailure, ChildProcess
-from evaluator.policy.sandbox.cleanup import CleanupShell, remove_folder
 from evaluator.policy.sandbox.isolation import Isolation, isolation_of
 from evaluator.policy.sandbox.launch_spec import LaunchSpec, runs_beside, unused_user
 from evaluator.policy.sandbox.limits import PolicyLimits
-from evaluator.policy.sandbox.snapshot import Snapshot, take_snapshot
+from evaluator.policy.sandbox.private_copy import PrivateCopy
+from evaluator.policy.sandbox.snapshot import Snapshot
 from evaluator.policy.sandbox.wrapper import check_sandbox
 from evaluator.policy.sandbox_hints import Cause, Surroundings, sandbox_hint
 from evaluator.policy.wire import REPLIES, TAGS, Frame, batch_frame, frame_parts
@@ -77,9 +75,7 @@ class PolicyHost:
         self._run = log.parent if run is None and log is not None else run
         self._confined, self._sandbox = confine, sandbox
         check_sandbox(sandbox)
-        self._snapshot: Snapshot | None = None
-        self._folder: Path | None = None  # of the copy
-        self._cleanup: CleanupShell | None = None
+        self._copy: PrivateCopy | None = None
         self._output = CappedOutput(log, self._limits.log_head_bytes, self._limits.log_tail_bytes)
         self._child: ChildProcess | None = None
         self._isolation: Isolation | None = None
@@ -126,13 +122,13 @@ class PolicyHost:
     @property
     def digest(self) -> str:
         """Digest of the copy that runs (``evaluator.policy.digest``); known after entering."""
-        return self._copy.digest
+        return self._snapshot.digest
 
     @property
-    def _copy(self) -> Snapshot:
-        if self._snapshot is None:
+    def _snapshot(self) -> Snapshot:
+        if self._copy is None:
             raise InputError("a policy is copied when its host is entered", hint="enter the host first")
-        return self._snapshot
+        return self._copy.snapshot
 
     def __enter__(self) -> Self:
         try:
@@ -222,7 +218,7 @@ class PolicyHost:
     def _surroundings(self) -> Surroundings:
         assert self._child is not None
         confined = self._isolation is not None and self._isolation.level != "L1"
-        return Surroundings(self.spec.path, self._copy, self._child.folder, self._limits, confined)
+        return Surroundings(self.spec.path, self._snapshot, self._child.folder, self._limits, confined)
 
     def _exchange(
         self, op: str, batch: ObservationBatch, shown: tuple[Situation, ...] | None, seconds: float, reply_bytes: int
@@ -271,20 +267,13 @@ class PolicyHost:
 
     def _take(self) -> None:
         """Make the copy that every process of this host runs from."""
-        folder = Path(tempfile.mkdtemp(prefix="rema-copy-")).resolve()
-        self._folder = folder
-        self._cleanup = CleanupShell(folder)
-        runs = runs_beside(self._run)
-        self._snapshot = take_snapshot(self.spec, self._checkpoint, folder, runs)
-        user = unused_user() if self._confined else None
-        if user is not None:  # the copy is for the user that the process becomes
-            os.chown(folder, -1, user)
-            folder.chmod(0o750)
-        self._launch = LaunchSpec(self._snapshot, self._limits, runs, self._confined, user, self._sandbox)
+        runs, user = runs_beside(self._run), unused_user() if self._confined else None
+        self._copy = PrivateCopy(self.spec, self._checkpoint, runs, user)
+        self._launch = LaunchSpec(self._copy.snapshot, self._limits, runs, self._confined, user, self._sandbox)
 
     def _start(self) -> None:
         limit_s = self._limits.start_s
-        copy = self._copy
+        copy = self._snapshot
         self._child = ChildProcess(self._output, self._launch)
         load: dict[str, Any] = {
             "op": "load",
@@ -330,13 +319,14 @@ class PolicyHost:
 
     def _error(self, failure: LoadFailure) -> SubmissionError:
         around = self._surroundings()
+        sandbox = sandbox_hint(failure.cause, around)
         self._drop()
         path, where = self.spec.path, around.readable(failure.where)
         message = f"policy {self.spec.name} cannot be used: {around.readable(failure.message)}"
         if self.spec.named is not None and failure.explains_itself:
             # The code of an installed policy needs no fix: its checkpoint does.
             return SubmissionError(message, path=path)
-        hint = around.readable(load_hint(failure, where or str(path), self.output, self._checkpoint, around))
+        hint = around.readable(load_hint(failure, where or str(path), self.output, self._checkpoint, sandbox))
         if self._log is not None and self._output.total:
             hint += f"\nits output is in {self._log}"
         return SubmissionError(message + (f" ({where})" if where else ""), hint=hint, path=path, where=where)
@@ -352,12 +342,9 @@ class PolicyHost:
             self._child.close()
             self._child = None
         self._output.settle()
-        if self._folder is not None:
-            remove_folder(self._folder)
-            self._folder = None
-        if self._cleanup is not None:
-            self._cleanup.dismiss()
-            self._cleanup = None
+        if self._copy is not None:
+            self._copy.remove()
+            self._copy = None
 
 
 def _answered(reply: Frame) -> bool:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from evaluator.policy.output import printable
-from evaluator.policy.sandbox_hints import Cause, Surroundings, sandbox_hint
+from evaluator.policy.sandbox_hints import Cause
 
 __all__ = ["LoadFailure", "conversion_command", "load_hint"]
 
@@ -53,8 +53,11 @@ class LoadFailure:
         )
 
 
-def load_hint(failure: LoadFailure, place: str, printed: str, checkpoint: Path | None, around: Surroundings) -> str:
-    """Lines below the message: the traceback, or else what the policy ``printed``, and how to fix it at ``place``."""
+def load_hint(failure: LoadFailure, place: str, printed: str, checkpoint: Path | None, sandbox: str = "") -> str:
+    """Lines below the message: the traceback, or else what the policy ``printed``, and how to fix it at ``place``.
+
+    ``sandbox`` is what the sandbox has to do with it (``sandbox_hint``).
+    """
     lines = [printable((failure.trace or printed)[-_SHOWN:]).strip()]
     if _UNPICKLING in failure.kinds:
         lines.append(
@@ -62,8 +65,8 @@ def load_hint(failure: LoadFailure, place: str, printed: str, checkpoint: Path |
             "author, convert its weights once, and load the safetensors instead:"
         )
         lines += [conversion_command(path, trust=True) for path in _pickles(checkpoint)]
-    if hint := sandbox_hint(failure.cause, around):
-        lines.append(f"sandbox: {hint}")
+    if sandbox:
+        lines.append(f"sandbox: {sandbox}")
     lines.append(f"to fix this, edit {place} and run the same command again")
     return "\n".join(line for line in lines if line)
 

@@ -83,6 +83,7 @@ class LaunchSpec:
             "PYTHONHASHSEED": "0",  # the order of sets must not differ between two runs
             "PYTHONDONTWRITEBYTECODE": "1",
             "PYTHONUNBUFFERED": "1",
+            "HDF5_USE_FILE_LOCKING": "FALSE",  # the sandbox has no locks
             "TORCH_FORCE_WEIGHTS_ONLY_LOAD": "1",  # a pickle is a program
             "HOME": str(temporary),
             "TMPDIR": str(temporary),

@@ -61,13 +61,13 @@ def _denied(name: str, host: PolicyHost) -> Verdict:
 
 
 def _fault(name: str, host: PolicyHost) -> Verdict:
-    asked = {"Dawdles": 8, "Erratic": 64}.get(name, 1)
+    asked = {"Dawdles": [1] * 8, "Erratic": [64]}.get(name, [1])
     answers: list[Answer] = []
-    for seed in range(asked):
-        answers += host.act(make_batch(1, seed=seed), (make_situation(),))
+    for count in asked:
+        answers += host.act(make_batch(count), (make_situation(),) * count)
     faults = [one for one in answers if isinstance(one, PolicyFault)]
     found = f"{len(faults)} of {len(answers)} are faults" + (f": {faults[-1].detail}" if faults else "")
-    return Verdict(not host.privileged, len(answers) == asked and bool(faults), found)
+    return Verdict(not host.privileged, len(answers) == sum(asked) and bool(faults), found)
 
 
 def _differ(name: str, host: PolicyHost) -> Verdict:
