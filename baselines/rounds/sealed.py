@@ -18,6 +18,7 @@ from baselines.rounds.recursion_plan import RecursionPlan, RoundPlan, networks_f
 from baselines.tae.checkpoint import networks_in
 from evaluator.policy.shipped import CHECKPOINTS
 from rema_data.errors import IntegrityError, RunMismatchError
+from rema_data.json_files import read_json
 from rema_data.locks import lock
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import BlockEntry
@@ -33,12 +34,12 @@ STAGES, PLAYERS = "stages.json", "players.json"
 def read_notes(path: Path) -> dict[str, Any]:
     """The content of a file of notes, empty without the file; IntegrityError where it is not a JSON object."""
     hint = "restore it, or delete it: its notes are then lost"
-    with storage_errors(path):
-        text = path.read_text(encoding="utf-8") if path.is_file() else "{}"
     try:
-        return validated(dict[str, Any], json.loads(text), str(path), hint=hint, error=IntegrityError)
-    except json.JSONDecodeError as error:
+        with storage_errors(path):
+            content = read_json(path) if path.is_file() else {}
+    except ValueError as error:
         raise IntegrityError(f"{path} is not JSON: {error}", hint=hint, path=str(path)) from error
+    return validated(dict[str, Any], content, str(path), hint=hint, error=IntegrityError)
 
 
 def note(path: Path, key: str, value: Any) -> None:

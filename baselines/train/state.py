@@ -15,10 +15,12 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
 from rema_data.errors import InputError, RunMismatchError
+from rema_data.json_files import checked_digest, read_json, with_digest
 from rema_data.locks import Busy, lock
 from rema_data.storage import storage_errors, write_atomic
 from rema_data.validation import plain, record, validated
@@ -75,7 +77,7 @@ def write_state(folder: Path, identity: Mapping[str, Any], state: TrainingState)
     card = _Card(dict(identity), state.update, hashlib.sha256(data).hexdigest(), state.facts)
     stem = f"state-{state.update:08d}"
     write_atomic(folder / f"{stem}.safetensors", data)
-    write_atomic(folder / f"{stem}.json", json.dumps(plain(card)) + "\n")
+    write_atomic(folder / f"{stem}.json", json.dumps(with_digest(plain(card))) + "\n")
     with storage_errors(folder):
         for path in folder.glob("state-*"):
             if path.stem != stem:
@@ -86,7 +88,7 @@ def read_state(folder: Path, identity: Mapping[str, Any]) -> TrainingState | Non
     """The newest whole state in a folder, or None; RunMismatchError where it belongs to another training."""
     for path in sorted(folder.glob("state-*.json"), reverse=True):
         try:
-            card = validated(_Card, json.loads(path.read_text(encoding="utf-8")), str(path))
+            card = validated(_Card, checked_digest(read_json(path)), str(path))
             data = path.with_suffix(".safetensors").read_bytes()
         except (OSError, ValueError):
             continue
@@ -100,5 +102,8 @@ def read_state(folder: Path, identity: Mapping[str, Any]) -> TrainingState | Non
                 path=str(folder),
                 differences=names,
             )
-        return TrainingState(card.update, load(data), card.facts)
+        try:
+            return TrainingState(card.update, load(data), card.facts)
+        except (SafetensorError, KeyError):
+            continue
     return None

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 __all__ = ["ReleaseFolder", "downloads_folder", "find_release", "local_sources"]
 
+_MORE_ROWS = 1000
+"""How many more rows than twice those of the manifest a table may have and be read, so that a check can name them."""
+
 
 @dataclass(frozen=True)
 class ReleaseFolder:
@@ -55,7 +58,8 @@ class ReleaseFolder:
         """Reader of a block."""
         from rema_data.store.block import BlockReader
 
-        return BlockReader(self._folder(entry.holder) / entry.key.path, self._repair_hint)
+        most = (2 * count + _MORE_ROWS for count in (entry.episodes, entry.steps))
+        return BlockReader(self._folder(entry.holder) / entry.key.path, self._repair_hint, *most)
 
     def blocks(self) -> tuple[BlockEntry, ...]:
         """The blocks that are here whole."""

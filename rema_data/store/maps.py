@@ -31,6 +31,7 @@ from rema_data.errors import IntegrityError, MissingFileError
 from rema_data.grid import EE_PIXELS, SCENE_PIXELS
 from rema_data.heights import HEIGHT_ERROR_M, HEIGHT_OFFSET_M, MISSING
 from rema_data.interrupts import check
+from rema_data.json_files import read_json
 from rema_data.repair import RepairHint, ask_verify
 from rema_data.schema import HEIGHT_STEP_M
 from rema_data.storage import not_written, storage_errors
@@ -40,6 +41,8 @@ __all__ = ["ARRAYS", "MAPS", "ArrayFormat", "MapsReader", "MapsWriter"]
 MAPS = "maps.zarr"
 _LEVEL = 19
 """Of zstd. Shuffling makes these maps larger: they are long runs of equal 16-bit values (benchmarks/codecs.py)."""
+_CODECS = ["sharding_indexed", "bytes", "zstd", "crc32c", "bytes", "crc32c"]
+"""Of an array, of its inner chunks, and of the index of these."""
 _MASK_HOLE = 255
 """Fill value of the masks: a map whose every pixel may touch cannot occur, since its border is always empty."""
 
@@ -176,8 +179,9 @@ class MapsReader:
         self._arrays: dict[str, zarr.Array[Any]] = {}
         for name, form in ARRAYS.items():
             try:
+                _check_layout(self._path / name, form)
                 array = zarr.open_array(LocalStore(self._path, read_only=True), path=name, mode="r")
-            except (BaseZarrError, OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            except (BaseZarrError, OSError, ValueError, LookupError, TypeError, AttributeError) as error:
                 raise self._damage(name, str(error)) from error
             if array.shape[1:] != form.row or array.dtype != form.dtype:
                 raise self._damage(name, f"it holds {array.dtype} {array.shape}")
@@ -207,6 +211,24 @@ class MapsReader:
         """Row ranges of the array's shards: the pieces in which it is best read."""
         total, step = self.rows(name), ARRAYS[name].shard_rows
         return [(start, min(start + step, total)) for start in range(0, total, step)]
+
+
+def _check_layout(folder: Path, form: ArrayFormat) -> None:
+    """Raise ValueError, LookupError or TypeError where an array is not laid out as ``MapsWriter`` does it.
+
+    Zarr can name any size of a chunk and any codec, and reads rows for which nothing is stored.
+    """
+    about = read_json(folder / "zarr.json")
+    (sharding,) = about["codecs"]
+    inner = sharding["configuration"]
+    shard, chunk = about["chunk_grid"]["configuration"]["chunk_shape"], inner["chunk_shape"]
+    codecs = [codec["name"] for codec in (sharding, *inner["codecs"], *inner["index_codecs"])]
+    if shard != [form.shard_rows, *form.row] or chunk != [form.chunk_rows, *form.row] or codecs != _CODECS:
+        raise ValueError("it is not stored in the chunks of a release")
+    rows = about["shape"][0]
+    stored = form.shard_rows * sum(1 for _ in (folder / "c").iterdir()) if (folder / "c").is_dir() else 0
+    if type(rows) is not int or not 0 <= rows <= stored:
+        raise ValueError(f"it names {rows!r:.40} rows, and {stored:,} are stored at most")
 
 
 def _hole(rows: npt.NDArray[Any], fill: int) -> int | None:

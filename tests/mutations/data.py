@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import json
-import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -25,6 +23,7 @@ from rema_data.convert import export_release
 from rema_data.convert.inbound import import_release
 from rema_data.download import download
 from rema_data.errors import IntegrityError
+from rema_data.json_files import with_digest
 from rema_data.loader.record import damaged_files
 from rema_data.release.folder import find_release
 from rema_data.release.registry import published, register
@@ -148,7 +147,7 @@ def commit_again(folder: Path, file: Path) -> None:
         from evaluator.run.records import Journal, read_journal
 
         log = folder / "work" / "log"
-        rows = [row for _, row in read_journal(log, "log")]
+        rows = [row for _, row in read_journal(log, "log", dict)]
         for row in rows:
             row["sha256"] = sha256(folder / "work" / "chunks" / f"{row['chunk']}.npz")
         shutil.rmtree(log)
@@ -172,6 +171,18 @@ def name_weights(folder: Path, file: Path) -> None:
     if file.suffix == ".safetensors":
         card = folder / "grasp.json"
         card.write_text(json.dumps(json.loads(card.read_text()) | {"sha256": sha256(file)}, indent=1) + "\n")
+    name_content(folder, folder / "grasp.json")
+
+
+def name_content(folder: Path, file: Path) -> None:
+    """Name the hash of forged fields beside them."""
+    try:
+        content = json.loads(file.read_bytes())
+        content.pop("content_sha256", None)
+        text = json.dumps(with_digest(content), indent=1)
+    except (ValueError, RecursionError, AttributeError, TypeError):
+        return  # not even an object
+    file.write_text(text + "\n")
 
 
 def make_state(folder: Path) -> None:
@@ -257,7 +268,7 @@ PARSERS = (
     ),
     Parser("decoded cache", make_cache, read_cache, ("home/decoded/*/*",), {"home/decoded/*/cache.json": "json"}),
     Parser("download", make_download, read_download, (f"{HOME}/**/*.part", f"{HOME}/**/*.parquet")),
-    Parser("import of HDF5", make_export, read_export, ("exported/*.hdf5",)),
+    Parser("import of HDF5", make_export, read_export, ("exported/*.hdf5",), slow=4),
     Parser(
         "collection plan",
         write("plan.toml", PLAN),
@@ -291,7 +302,7 @@ PARSERS = (
         checked=False,
     ),
     Parser("checkpoint", make_checkpoint, read_checkpoint, ("grasp.*",), {"grasp.json": "json"}, name_weights),
-    Parser("state of a training", make_state, read_training, ("state/*",), {"state/*.json": "json"}),
+    Parser("state of a training", make_state, read_training, ("state/*",), {"state/*.json": "json"}, name_content),
     Parser(
         "state of a sampler", make_sampler, read_sampler, ("sampler.json",), {"sampler.json": "json"}, checked=False
     ),

@@ -42,7 +42,7 @@ def _accident(data: bytes, rng: Rng) -> bytes:
             return bytes(flipped)
         case 1 if size:  # a byte that text parsers know
             changed = bytearray(data)
-            changed[at % size] = b"0123456789-.eE{}[]\",:\\\n\x00\xff"[int(rng.integers(24))]
+            changed[at % size] = b'0123456789-.eE{}[]",:\\\n\x00\xff'[int(rng.integers(24))]
             return bytes(changed)
         case 2:
             return data[:at]

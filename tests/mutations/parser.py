@@ -25,6 +25,7 @@ class Parser:
     damage: tuple[str, ...]  # globs of the files that are damaged
     forge: Mapping[str, str] = field(default_factory=dict)  # globs of files that are forged, and how
     reseal: Callable[[Path, Path], None] | None = None  # after a forgery of a file: as somebody who knows the format
+    slow: int = 1  # the fraction of a small number of inputs that it gets
     checked: bool = True  # whether anything tells right content from other content: not of a file that people edit
 
 

@@ -53,15 +53,15 @@ def unseal(folder: Path, file: Path) -> None:
 
 
 def make_timings(folder: Path) -> None:
-    from evaluator.run.tables import timings_table, to_parquet
     from evaluator.run.records import Records
+    from evaluator.run.tables import timings_table, to_parquet
 
     make_run(folder)
     records = Records()
     records.add_outcomes(
         Simulated(n, 0, StepOutcome(True, None, arm="left"), n / 7, f"worker {n % 3}", 1, 1) for n in range(40)
     )
-    (folder / "run" / "timings.parquet").write_bytes(to_parquet(timings_table(records, 40)))
+    (folder / "run" / "timings.parquet").write_bytes(to_parquet(timings_table(records, 40), page_checksums=True))
 
 
 def make_journal(folder: Path) -> None:
@@ -110,7 +110,9 @@ def observations(folder: Path) -> ObservationCache:
 PARSERS = (
     Parser("header of a run", make_run, read_run, ("run/run.json",), {"run/run.json": "json"}, unseal),
     Parser("summary of a run", make_run, read_run, ("run/summary.json",), {"run/summary.json": "json"}, unseal),
-    Parser("results of a run", make_run, read_run, ("run/results.parquet",), {"run/results.parquet": "parquet"}, unseal),
+    Parser(
+        "results of a run", make_run, read_run, ("run/results.parquet",), {"run/results.parquet": "parquet"}, unseal
+    ),
     Parser("actions of a run", make_run, read_actions, ("run/actions.bin", "run/results.parquet")),
     Parser(
         "timings of a run",

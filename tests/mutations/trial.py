@@ -26,10 +26,14 @@ import numpy as np
 
 from rema_data.errors import InputError, RemaError
 
-__all__ = ["GOOD", "Trial", "given_json", "main", "trials"]
+__all__ = ["GOOD", "WRONG", "Trial", "given_json", "main", "trials"]
 
 GOOD = ("refused", "same", "read")
 """Results that are as they should be: an error of ours, the content of the whole input, or content that is valid."""
+WRONG = ("silent", "traceback", "memory", "hang", "crash")
+"""Results that are not; silent is other content without a word."""
+_FEW = 100
+"""Up to so many inputs, slow parsers get fewer."""
 LIMIT_BYTES = 1 << 30
 LIMIT_S = 20.0
 ROOT = Path(__file__).resolve().parents[2]
@@ -42,7 +46,7 @@ class Trial:
     parser: str
     number: int
     kind: str  # damage or forgery
-    result: str  # one of GOOD; or traceback, memory, hang, crash, or silent: other content without a word
+    result: str  # of GOOD or WRONG
     detail: str
     seconds: float
 
@@ -61,8 +65,7 @@ def trials(names: Sequence[str], count: int, seed: int = 0) -> Iterator[Trial]:
     while waiting:
         last: Trial | None = None
         begun: tuple[str, int] | None = None
-        command = [sys.executable, "-m", "tests.mutations", "--worker", json.dumps(waiting)]
-        command += ["--count", str(count), "--seed", str(seed)]
+        command = [sys.executable, "-m", "tests.mutations.trial", json.dumps(waiting), str(count), str(seed)]
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "ignore"}
         worker = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT, env=environment)
         assert worker.stdout is not None
@@ -82,6 +85,7 @@ def trials(names: Sequence[str], count: int, seed: int = 0) -> Iterator[Trial]:
             last = Trial(**content)
             begun = None
             yield last
+        worker.stdout.close()
         code = worker.wait()
         if begun is None:
             if code:
@@ -95,19 +99,13 @@ def trials(names: Sequence[str], count: int, seed: int = 0) -> Iterator[Trial]:
 
 
 def main() -> None:
-    """Run trials and print their table; or be a worker."""
+    """Be a worker."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("parsers", nargs="*", help="names of parsers; all by default")
-    parser.add_argument("--count", type=int, default=600)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--worker", help=argparse.SUPPRESS)
+    parser.add_argument("waiting", type=json.loads, help="parsers, each with its first number, as JSON")
+    parser.add_argument("count", type=int)
+    parser.add_argument("seed", type=int)
     options = parser.parse_args()
-    if options.worker:
-        _work(json.loads(options.worker), options.count, options.seed)
-        return
-    from tests.mutations.table import print_table
-
-    sys.exit(print_table(options.parsers, options.count, options.seed))
+    _work(options.waiting, options.count, options.seed)
 
 
 def _work(waiting: Sequence[tuple[str, int]], count: int, seed: int) -> None:
@@ -127,7 +125,7 @@ def _work(waiting: Sequence[tuple[str, int]], count: int, seed: int) -> None:
             shutil.copytree(whole, work)
             _settle(work)
             wanted = parser.read(work)
-            for number in range(first, count):
+            for number in range(first, count if count > _FEW else count // parser.slow):
                 print(json.dumps({"begins": [name, number]}), flush=True)
                 shutil.rmtree(work)
                 shutil.copytree(whole, work)
@@ -180,5 +178,9 @@ def _try(parser: Any, wanted: Any, work: Path, number: int, seed: int) -> Trial:
 
 def _frames() -> str:
     lines = traceback.format_exc().strip().splitlines()
-    ours = [line.strip() for line in lines if '/rema_data/' in line or '/evaluator/' in line or '/baselines/' in line]
+    ours = [line.strip() for line in lines if "/rema_data/" in line or "/evaluator/" in line or "/baselines/" in line]
     return f"{lines[-1][:150]} | {' | '.join(line.split(', in ')[0].rpartition('/')[2] for line in ours[-2:])}"
+
+
+if __name__ == "__main__":
+    main()
