@@ -132,7 +132,9 @@ class _Survey:
 
 def _crowded() -> tuple[Path, ...]:
     """Places that hold much besides code: around them, only visible files and Python packages are allowed."""
-    places = [Path.home(), Path(tempfile.gettempdir())]
+    places = [Path(tempfile.gettempdir())]
+    with suppress(RuntimeError):  # a user without a home folder
+        places.append(Path.home())
     if packages_folder().name not in ("site-packages", "dist-packages"):
         places.append(packages_folder())
     return tuple(place.resolve() for place in places)
