@@ -106,7 +106,8 @@ def decoding(release: ReleaseFolder) -> Work:
 def evaluating(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Work:
     def work(folder: Path) -> None:
         monkeypatch.setenv("REMA_HOME", str(tmp_path / f"home-{folder.name}"))  # nothing is observed yet
-        run_evaluation(fake_config(folder, episodes=40, batch_size=8, engine="inline"), backend=fake_backend())
+        config = fake_config(folder, episodes=40, batch_size=8, engine="inline", audit_share=0.0)
+        run_evaluation(config, backend=fake_backend())
 
     return work
 
@@ -115,7 +116,9 @@ def evaluating(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Work:
 def merging(tmp_path: Path) -> Work:
     shards = [tmp_path / "shard1", tmp_path / "shard2"]
     for number, shard in enumerate(shards, 1):
-        config = fake_config(shard, episodes=40, batch_size=8, engine="inline", shard=RunShard(number, 2))
+        config = fake_config(
+            shard, episodes=40, batch_size=8, engine="inline", audit_share=0.0, shard=RunShard(number, 2)
+        )
         run_evaluation(config, backend=fake_backend())
     return lambda folder: merge_runs(shards, folder / "whole")
 
