@@ -117,6 +117,7 @@ def prepare(inputs: Path, size: Size, names: Sequence[str], url: str) -> dict[st
             make(inputs, *evaluate, "--shard", shard, "--output", str(inputs / f"shard-{shard[0]}"))
     training = ("--release", size.release, "--tasks", size.task, "--primitive", "push", "--updates", str(size.updates))
     training += ("--validate-every", str(every), "--validation-steps", "20", "--width", "8", "--output", "out")
+    two = ("--updates", "2", "--validate-every", "2")  # the first open of a release, and little after it
     run = ("out/results.parquet", "out/actions.bin")
     sealed, networks = "out/stopped/**/*", "out/**/*.safetensors"
     verbs = {
@@ -129,10 +130,7 @@ def prepare(inputs: Path, size: Size, names: Sequence[str], url: str) -> dict[st
         "download": Verb(
             ("download", size.release, "--source", url, "--jobs", "2"), (f"home/releases/{size.release}/**/*",)
         ),
-        "decode": Verb(
-            ("preview", "--release", size.release, "--count", "1", "--output", "out.png"),
-            ("home/decoded/*/*.npy", "out.png"),
-        ),
+        "decode": Verb(("train", *training, *two), ("home/decoded/*/*.npy", networks)),
         "evaluate": Verb((*evaluate, "--output", "out"), run),
     }
     return {name: verbs[name] for name in names}

@@ -153,7 +153,7 @@ def held() -> Iterator[None]:
     For library functions that hand callbacks to foreign code. Nothing changes where the process listens already, or has
     a handler of its own.
     """
-    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+    if _listener is not None or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield
         return
     with _installed(lambda: _Listener((signal.SIGINT,), None)):

@@ -61,8 +61,11 @@ def rema_home() -> Path:
     named = environment.folder_of(environment.HOME)
     if named is not None:
         return named
-    usual = platformdirs.user_cache_path("rema", appauthor=False)
-    return usual if usual.is_absolute() else _home_of_nobody()
+    try:
+        usual = platformdirs.user_cache_path("rema", appauthor=False)
+    except RuntimeError:  # no HOME, and no entry in the list of users
+        return _home_of_nobody()
+    return usual if usual.is_absolute() else _home_of_nobody()  # as earlier versions of platformdirs say it
 
 
 def _home_of_nobody() -> Path:
@@ -100,12 +103,8 @@ def storage_errors(path: Path) -> Iterator[None]:
 
 
 def _way_out(path: Path, number: int) -> str:
-    """The hint of an error of the disk: what lies in the folder of rema can lie elsewhere."""
-    home = rema_home()
-    if not path.is_absolute() or not path.is_relative_to(home):
-        return repair.storage(number)
-    elsewhere = f"set {environment.HOME} to another folder: all that is below {home} can lie there"
-    return f"{elsewhere}\n{repair.storage(number)}"
+    """The hint of an error of the disk: all that lies in the folder of rema can lie elsewhere."""
+    return repair.storage(number, environment.HOME if path.is_relative_to(rema_home()) else "")
 
 
 def file_sha256(path: Path) -> str:

@@ -85,9 +85,7 @@ class _Verbs(click.Group):
         try:
             with interrupts.listening():
                 interrupts.check()
-                done = super().invoke(ctx)
-                interrupts.check()  # a loop around this command is to stop, too
-                return done
+                return super().invoke(ctx)
         except RemaError as error:
             note(f"rema: {error}")
             ctx.exit(error.exit_code)

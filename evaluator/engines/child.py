@@ -18,7 +18,7 @@ from typing import Any
 from evaluator.engines.base import signal_name
 from evaluator.engines.worker import VALUE, die_with
 from rema_data import interrupts
-from rema_data.errors import InfrastructureError
+from rema_data.errors import InfrastructureError, StorageError
 from rema_data.leftovers import temporary_folder
 
 __all__ = ["Child", "call_in_child", "process_pool"]
@@ -108,9 +108,19 @@ def call_in_child(target: str, timeout_s: float = 120.0) -> Any:
 
 
 def process_pool(workers: int) -> ProcessPoolExecutor:
-    """Fresh interpreters for Python calls, which end with this process and leave Ctrl-C to it."""
+    """Fresh interpreters for Python calls, which end with this process and leave Ctrl-C to it.
+
+    Raises StorageError where the system has no shared memory for them.
+    """
     spawn = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, mp_context=spawn, initializer=_begin, initargs=(os.getpid(),))
+    try:
+        pool = ProcessPoolExecutor(workers, mp_context=spawn, initializer=_begin, initargs=(os.getpid(),))
+    except OSError as error:
+        raise StorageError(
+            f"processes cannot work together here: /dev/shm cannot be used: {error.strerror or error}",
+            hint="mount it as memory that may be written; for a container: docker run --shm-size 64m",
+            path="/dev/shm",
+        ) from error
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # inherited: they import for a second or two
     try:
         for _ in range(workers):

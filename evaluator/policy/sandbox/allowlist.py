@@ -181,7 +181,9 @@ class _Survey:
 
 def crowded_places() -> tuple[Path, ...]:
     """Places that hold much besides code: around them, only visible files and Python packages are allowed."""
-    places = [Path.home(), Path(tempfile.gettempdir())]
+    places = [Path(tempfile.gettempdir())]
+    with suppress(RuntimeError):  # a user without a home folder
+        places.append(Path.home())
     if packages_folder().name not in _PACKAGES_FOLDERS:
         places.append(packages_folder())
     return tuple(place.resolve() for place in places)
