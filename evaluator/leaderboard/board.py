@@ -11,7 +11,7 @@ from evaluator.leaderboard.copies import in_order, once
 from evaluator.leaderboard.naming import PUBLISHED
 from evaluator.leaderboard.ranking import LEVEL, Pair, rank_runs
 from evaluator.leaderboard.row import Row, published_rows, row_of
-from evaluator.leaderboard.verification import known, records, verify
+from evaluator.leaderboard.verification import NOT_SIMULATED, known, records, verify
 from evaluator.rollout.backend import Backend
 from evaluator.run.reading import read_run
 from evaluator.run.run import Run
@@ -147,7 +147,7 @@ def _remarks(rows: Sequence[Row], pairs: Sequence[Pair]) -> Iterator[str]:
             "verification record covers them. `rema leaderboard --verify` simulates those that hold actions."
         )
     for row in rows:
-        if row.unranked and not apart(row) and row.tag != PUBLISHED:
+        if row.unranked and row.tag != PUBLISHED and not (apart(row) and row.unranked.endswith(NOT_SIMULATED)):
             yield f"{row.policy} ({row.task}, {row.protocol}) has no rank: {row.unranked}."
     for task, protocol in dict.fromkeys((row.task, row.protocol) for row in rows):
         ranked = [row for row in rows if (row.task, row.protocol) == (task, protocol) and not row.unranked]

@@ -38,6 +38,8 @@ from rema_data.validation import record, validated
 
 __all__ = ["Record", "known", "read_verified", "records", "verify", "write_record"]
 
+NOT_SIMULATED = "not simulated here"
+"""How the reason of a row ends that nobody looked at yet."""
 _ROWS_NAMED = 3
 _SUCCESS = "success"
 
@@ -186,8 +188,10 @@ def _with(run: Run, found: Derived) -> Run:
             path=str(run.source),
             rows=flips,
         )
-    if not same and clopper_pearson(len(flips), int(measured.sum()))[1] > FLIP_LIMIT:
-        return run
+    bound = clopper_pearson(len(flips), int(measured.sum()))[1]
+    if not same and bound > FLIP_LIMIT:
+        doubt = f"{len(flips):,} of {int(measured.sum()):,} outcomes are others in the simulator here"
+        return dataclasses.replace(run, doubt=f"not verified: {doubt} (up to {100 * bound:.2g} %)")
     return dataclasses.replace(run, verified="here")
 
 
@@ -242,10 +246,12 @@ def write_record(
 def why_not(run: Run) -> str:
     """Why a run is not verified, in a few words."""
     if run.kind == "entry" and run.recorded is None:
-        return "not verified: an entry of format 1 holds no actions"
+        return f"not verified: an entry of format 1 holds no actions, and was {NOT_SIMULATED}"
+    if run.doubt:
+        return run.doubt
     try:
         if run.provenance.protocol_hash != protocol_hash(run.task, run.protocol):
             return "another protocol version"
     except RemaError:
         return "another protocol version"
-    return "not verified: rema leaderboard --verify simulates its actions"
+    return f"not verified: {NOT_SIMULATED}"

@@ -75,6 +75,7 @@ class Run:
     # how it is known that the actions give these outcomes: ``here`` (simulated on this machine) or ``record`` (one that
     # comes with rema); empty where nobody knows
     verified: str = ""
+    doubt: str = ""  # why it is not, where its actions were simulated
     findings: tuple[Finding, ...] = ()  # what changed since the seal or contradicts; empty unless the reader asked
     files: RunFiles | None = None  # content of the run folder; None for an entry
     recorded: Actions | None = None  # the action log of an entry of format 2

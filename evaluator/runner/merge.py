@@ -22,6 +22,7 @@ from evaluator.run.counts import unfinished
 from evaluator.run.folder import RunFolder, locked
 from evaluator.run.header import read_header, resume_command
 from evaluator.run.plan import Plan, scenario_list
+from evaluator.run.reading import read_run
 from evaluator.run.records import ANSWERS, OUTCOMES, Journal, Ledger, Records, read_journal, same_outcome
 from evaluator.run.seal import ACTIONS_FILE, RESULTS_FILE, canonical
 from evaluator.runner.audit import Repeat, audit_summary, jobs_again, repeats, seed_of
@@ -177,6 +178,7 @@ def _finish(
                     hint=f"finish it: {resume_command(shard.header, shard.path)}",
                     path=str(shard.path),
                 )
+            read_run(shard.path)  # an IntegrityError where it is not what was sealed
         seals = sorted(canonical(shard.header["seal"]) for shard in shards)
         seed = seed_of(*seals, *(tables.files[name] for name in (RESULTS_FILE, ACTIONS_FILE)))
         with closing(Ledger(whole.repeats, whole.segment)) as again:

@@ -136,7 +136,9 @@ def write_run(
     count = len(passed[0])
     scenarios = load_list(task, split)
     none = np.zeros(count, bool)
-    actions = np.random.default_rng(list(policy.encode())).choice(np.flatnonzero(_valid()), (count, len(steps)))
+    actions = np.random.default_rng(list((policy + digest).encode())).choice(
+        np.flatnonzero(_valid()), (count, len(steps))
+    )
     records = _records(steps, passed, actions, none if lost is None else lost, none if unplayed is None else unplayed)
     table = results_table(scenarios, count, steps, records)
     marks = {

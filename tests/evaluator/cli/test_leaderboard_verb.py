@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
@@ -80,6 +81,23 @@ def test_entries_that_come_with_the_installation_are_shown(write: Write, tmp_pat
     entry.write_text(entry.read_text().replace("them", "thee"))
     result = board()
     assert result.exit_code == 6 and "theirs.json is refused" in result.stderr
+
+
+def test_what_is_not_verified_stands_apart_until_it_is_simulated(write: Write, tmp_path: Path) -> None:
+    """A run that claims successes, of another simulator: --verify simulates its actions in the world that is here."""
+    honest, claimed = write("honest", solved(0.5, 1)), write("claimed", np.ones(EPISODES, bool), verified=False)
+    shown = board(honest, claimed, "--no-published").stdout
+    assert "grasp, conditional: not verified" in shown and "rema leaderboard --verify" in shown
+    result = board(honest, claimed, "--no-published", "--verify")
+    assert result.exit_code == 0 and "outcomes are others in the simulator here" in " ".join(result.stdout.split())
+    assert "verify:" in result.stderr and "grasp, conditional: not verified" in result.stdout
+
+
+def test_a_record_is_written_for_entries_of_the_installation_alone(write: Write, tmp_path: Path) -> None:
+    assert "nothing to record" in board("--record").stderr
+    entry = write_entry(tmp_path / "mine.json", write("mine", solved(0.5, 1)))
+    result = board(entry, "--record")
+    assert result.exit_code == 2 and "copy it there first" in result.stderr
 
 
 @pytest.mark.parametrize("form", ["md", "html", "tex", "csv", "json"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import logging
 import re
 import shutil
@@ -50,7 +51,7 @@ VERB_CASES: dict[str, tuple[str, tuple[str, ...]]] = {
         ("run folder: {new} (`rema replay` checks it)", "warning: {here}/cache is full", "20 actions re-run: "),
     ),
     "merge": ("{here}/shard-1 {here}/shard-2 --output {new}", ("run folder: {new} (",)),
-    "replay": ("{here}/fake --engine inline --fraction 0.1", ("root  {root}",)),
+    "replay": ("{here}/fake --engine inline --fraction 0.1", ("seal  {seal}",)),
     "leaderboard": (
         "{here}/a {here}/b {here}/unfinished",
         ("{here}/unfinished", f"my_policy_with_a_long_name  submitted     1  182/{EPISODES} "),
@@ -154,6 +155,8 @@ def _light_world(patch: pytest.MonkeyPatch, folder: Path) -> None:
         "evaluator.scenarios.generation.write_lists": lambda *_, **__: folder / "lists" / "v9" / "manifest.json",
         "evaluator.runner.run.default_backend": backend,
         "evaluator.replay.play.default_backend": fake_backend,
+        "evaluator.runner.merge.default_backend": fake_backend,
+        "evaluator.leaderboard.submission.replay": lambda *_, **__: SimpleNamespace(findings=(), verified=True),
         "evaluator.engines.child.process_pool": lambda _: nullcontext(),
     }.items():
         patch.setattr(target, value)
@@ -183,6 +186,7 @@ def rema(here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Rema:
 
 def _filled(text: str, here: Path, folder: Path) -> str:
     names = {
+        "{seal}": json.loads((here / "fake" / "run.json").read_text())["seal"],
         "{here}": here,
         "{new}": folder / "new" / LONG,
         "{gone}": here / "there-is-no-file-of-this-name",

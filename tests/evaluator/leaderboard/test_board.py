@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from evaluator.leaderboard import Board, Row, leaderboard, published_rows
+from evaluator.leaderboard.export import titled_groups
 from evaluator.leaderboard.ranking import LEVEL
 from evaluator.statistics import holm, midp_mcnemar, pair_table
 from rema_data.errors import IntegrityError, MissingFileError
@@ -158,6 +159,35 @@ def test_a_rank_that_hangs_on_lost_episodes_is_none(write: Write, monkeypatch: p
     assert rows(board)["close"].bounds == pytest.approx(((close.sum() - 3) / EPISODES, close.sum() / EPISODES))
     wide = leaderboard([Path(rows(board)["a"].source), write("wide", solved(0.9, 5), lost=lost)], published=False)
     assert rows(wide)["wide"].rank == 1 and rows(wide)["wide"].ties == "a"
+
+
+def test_what_nobody_simulated_stands_apart(write: Write) -> None:
+    mine, claimed = write("mine", solved(0.5, 1)), write("claimed", solved(0.99, 2), verified=False)
+    board = leaderboard([claimed, mine], published=False)
+    assert [(row.policy, row.rank, bool(row.verified)) for row in board.rows] == [
+        ("mine", 1, True),
+        ("claimed", None, False),
+    ]
+    assert rows(board)["claimed"].unranked.startswith("not verified") and remark(board, "NOT VERIFIED")
+    titles = [title for title, _ in titled_groups(board)]
+    assert len(titles) == 2 and titles[1].startswith("grasp, conditional: not verified")
+    assert not remark(leaderboard([mine]), "NOT VERIFIED")
+
+
+def test_a_policy_that_carries_the_simulator_has_letters_and_no_rank(write: Write, tmp_path: Path) -> None:
+    entry = write_entry(tmp_path / "oracle.json", write("oracle", solved(0.99, 1)), kind_of_policy="simulator")
+    board = leaderboard([entry, write("mine", solved(0.5, 2))], published=False)
+    found = rows(board)
+    assert (found["oracle"].tag, found["oracle"].rank, found["mine"].rank) == ("simulator", None, 1)
+    assert found["oracle"].ties != found["mine"].ties and remark(board, "simulator: it carries")
+
+
+@pytest.mark.parametrize("name", ["random", "scripted"])
+def test_a_run_under_the_name_of_an_installed_policy_must_be_of_it(write: Write, name: str) -> None:
+    own, taken = write(name, solved(0.5, 1)), write(f"{name}-2", solved(0.6, 2), policy=name, digest="f" * 64)
+    board = leaderboard([own, taken], published=False)
+    verdicts = {row.source: row.unranked for row in board.rows}
+    assert not verdicts[str(own)] and "is the name of an installed policy" in verdicts[str(taken)]
 
 
 def test_another_simulator_is_said_loudly(write: Write) -> None:

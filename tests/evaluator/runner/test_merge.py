@@ -6,6 +6,7 @@ import errno
 import json
 import shutil
 from collections.abc import Callable, Iterable
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,11 +17,13 @@ from filelock import FileLock
 
 from evaluator.cli.main import cli
 from evaluator.engines.base import load_attribute
+from evaluator.run.folder import RunFolder
 from evaluator.run.plan import Plan
 from evaluator.run.reading import read_run
 from evaluator.run.records import Ledger, _line
 from evaluator.runner import merge, run_evaluation
 from evaluator.runner.audit import repeats, seed_of
+from evaluator.runner.finalize import seal_run, write_tables
 from evaluator.runner.merge import merge_runs
 from evaluator.runner.shards import RunShard
 from evaluator.scenarios import load_list
@@ -45,7 +48,20 @@ def cut(whole: Path, folder: Path, indices: Iterable[int], shard: str) -> Path:
         target = folder / journal.relative_to(whole)
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_bytes(b"".join(line for line in lines if json.loads(line)[1]["index"] in chosen))
+    seal(folder, header)
     return folder
+
+
+def seal(folder: Path, header: dict[str, Any]) -> None:
+    """Write the tables that follow from the records of a run, and seal it."""
+    identity = header["identity"]
+    scenarios = load_list(identity["task"])
+    plan = Plan(scenarios.scenarios[: header["episodes"]], identity["task"], identity["protocol"])
+    with (
+        RunFolder.locked(folder, identity, header["episodes"]) as whole,
+        closing(Ledger(whole.records, whole.segment)) as ledger,
+    ):
+        seal_run(whole, plan, ledger, write_tables(whole, plan, scenarios, ledger), None)
 
 
 def table(folder: Path) -> list[bytes]:
@@ -62,9 +78,9 @@ def divided(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_fake_list(folder / "manifests", LONG, 300)
         config = fake_config(folder / "whole", task=LONG, protocol="end-to-end", batch_size=BATCH, engine="inline")
         run_evaluation(config, backend=fake_backend())
-    for number in range(1, COUNT + 1):
-        shard = RunShard(number, COUNT)
-        cut(folder / "whole", folder / f"shard{number}", shard.indices(EPISODES, BATCH), str(shard))
+        for number in range(1, COUNT + 1):
+            shard = RunShard(number, COUNT)
+            cut(folder / "whole", folder / f"shard{number}", shard.indices(EPISODES, BATCH), str(shard))
     return folder
 
 
@@ -112,6 +128,16 @@ def test_a_merged_run_is_sealed_and_goes_on_like_any_other(shards: list[Path], f
     assert table(fake_home / "merged") == before
 
 
+@pytest.mark.parametrize("file", ["results.parquet", "actions.bin", "summary.json", "run.json"])
+def test_a_shard_that_is_not_what_was_sealed_is_refused(shards: list[Path], fake_home: Path, file: str) -> None:
+    content = (shards[1] / file).read_bytes()
+    edited = content.replace(b'"unfinished"', b'"Unfinished"').replace(b'"shuffled"', b'"Shuffled"')
+    (shards[1] / file).write_bytes(edited if edited != content else content[:-9] + b"x" + content[-8:])
+    with pytest.raises(IntegrityError, match="shard2 is refused"):
+        merge_runs(shards, fake_home / "merged")
+    assert not (fake_home / "merged").exists()
+
+
 def false_outcomes(shard: Path, share: float) -> None:
     """Give failures of a shard, in its records and in the repeats of its audit, another label and a new checksum."""
     for journal in (shard / "records").rglob("outcomes-*.jsonl"):
@@ -122,6 +148,7 @@ def false_outcomes(shard: Path, share: float) -> None:
                 row["outcome"].update(failure="slipped")
             lines.append(_line(row))
         journal.write_bytes(b"".join(lines))
+    seal(shard, json.loads((shard / "run.json").read_text()))
 
 
 def test_a_shard_with_false_outcomes_is_found_by_the_sample(shards: list[Path], fake_home: Path) -> None:
