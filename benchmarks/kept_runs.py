@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.results import RESULTS
-from evaluator.leaderboard.eligibility import installed_list
 from evaluator.protocol import protocol_hash
+from evaluator.scenarios import installed_list
 
 KEPT = RESULTS / "runs"
 

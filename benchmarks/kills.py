@@ -40,7 +40,7 @@ from rema_data.schema import Situation, StepOutcome
 SIMULATED, ASKED = "simulated", "asked"
 COUNTS = "REMA_KILLS_COUNTS"
 """Folder of two files, one byte for every episode that was begun to be simulated and for every question."""
-FILES = ("results.parquet", "actions.bin", "leaves.bin")
+FILES = ("results.parquet", "actions.bin")
 VICTIMS = {"evaluator": "", "worker": "evaluator/engines/", "policy": "evaluator/policy/"}
 """What is killed, and the folder of its module, by which its command line is recognised."""
 REPEATED = 0.02

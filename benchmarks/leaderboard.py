@@ -16,6 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.results import ROOT
 from evaluator.leaderboard import leaderboard
+from evaluator.leaderboard.escape import to_markdown
 from evaluator.leaderboard.export import markdown_table, matrix
 from evaluator.protocol import PROTOCOLS
 from evaluator.run.entry import find_entries
@@ -27,7 +28,8 @@ END = "<!-- end of leaderboard -->"
 NOTE = (
     "Success, % [95 % interval], over the 10,000 test scenarios of a task. Policies of one column that share a letter "
     "do not differ significantly (paired tests on the same scenarios, adjusted for their number). `privileged`: the "
-    "policy saw the ground truth. `published`: the paper's rates, from other scenes and another simulator. "
+    "policy saw the ground truth. `not verified`: an entry of an earlier form, without its actions: nobody can verify "
+    "it, so it has no letters. `published`: the paper's rates, from other scenes and another simulator. "
     "`rema leaderboard` shows the rest."
 )
 
@@ -41,7 +43,7 @@ def section() -> str:
     for protocol in PROTOCOLS:
         header, lines = matrix(board, protocol)
         if lines:
-            parts += [f"**{protocol.capitalize()}**", markdown_table(header, lines)]
+            parts += [f"**{protocol.capitalize()}**", markdown_table(header, [map(to_markdown, one) for one in lines])]
     return "\n\n".join([*parts, NOTE])
 
 

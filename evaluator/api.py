@@ -123,13 +123,17 @@ def evaluate(
     return quick_evaluation(config, Path(quick), progress)
 
 
-def read_run(path: str | Path) -> Run:
-    """A finished run, from its folder or from its submission file.
+def read_run(path: str | Path, *, progress: Progress | None = None) -> Run:
+    """A finished run, from its folder or from its entry.
+
+    The results of an entry are derived from its actions: they are simulated (minutes) unless that was done before, here
+    or by the CI of rema.
 
     Parameters
     ----------
     path : str or Path
-        A run folder of ``evaluate``, or a file of ``rema submit``.
+        A run folder of ``evaluate``, or an entry of ``rema submit``.
+    progress : Progress, optional
 
     Raises
     ------
@@ -143,18 +147,19 @@ def read_run(path: str | Path) -> Run:
     >>> run.policy, run.tag, run.counts.episodes
     ('random', 'random', 4)
     """
-    from evaluator.run.reading import read_run as read
+    from evaluator.leaderboard.verification import read_verified
 
-    return read(Path(path))
+    return read_verified(Path(path), progress)
 
 
-def compare(a: str | Path, b: str | Path) -> Comparison:
+def compare(a: str | Path, b: str | Path, *, progress: Progress | None = None) -> Comparison:
     """Compare two runs scenario by scenario.
 
     Parameters
     ----------
     a, b : str or Path
-        Run folders or submission files, of the same task, split, protocol and scenario list.
+        Run folders or entries, of the same task, split, protocol and scenario list.
+    progress : Progress, optional
 
     Returns
     -------
@@ -175,20 +180,30 @@ def compare(a: str | Path, b: str | Path) -> Comparison:
     """
     from evaluator.leaderboard.comparison import compare as compare_runs
 
-    return compare_runs(read_run(a), read_run(b))
+    return compare_runs(read_run(a, progress=progress), read_run(b, progress=progress))
 
 
-def leaderboard(runs: Sequence[str | Path] | None = None, *, entries: bool = True, published: bool = True) -> Board:
-    """Runs, submission files and published rates in one table.
+def leaderboard(
+    runs: Sequence[str | Path] | None = None,
+    *,
+    entries: bool = True,
+    published: bool = True,
+    verify: bool = False,
+    progress: Progress | None = None,
+) -> Board:
+    """Runs, entries and published rates in one table. What is not verified stands apart, without a rank.
 
     Parameters
     ----------
     runs : sequence of str or Path, optional
-        Run folders and submission files; by default every run folder below ``runs/``.
+        Run folders and entries; by default every run folder below ``runs/``.
     entries : bool
-        Add the submissions that come with rema.
+        Add the entries that come with rema.
     published : bool
         Add the paper's rates.
+    verify : bool
+        Simulate the actions of everything that is not verified: minutes for each run over a full list.
+    progress : Progress, optional
 
     Returns
     -------
@@ -212,7 +227,8 @@ def leaderboard(runs: Sequence[str | Path] | None = None, *, entries: bool = Tru
     from evaluator.run.entry import find_entries
 
     sources = find_runs(Path("runs")) if runs is None else [Path(run) for run in runs]
-    return make_board([*sources, *(find_entries() if entries else ())], published)
+    every = [*sources, *(find_entries() if entries else ())]
+    return make_board(every, published, simulate=verify, progress=progress)
 
 
 def replay(
@@ -223,7 +239,6 @@ def replay(
     engine: str = "process",
     workers: int | None = None,
     address: str | None = None,
-    public_key: str | Path | None = None,
     progress: Progress | None = None,
 ) -> ReplayReport:
     """Check a finished run: its seal, its statistics, and a share of its episodes by simulating them again.
@@ -238,8 +253,6 @@ def replay(
         Draw the episodes of an earlier replay.
     engine, workers, address
         As for ``evaluate``.
-    public_key : str or Path, optional
-        File of the Ed25519 key that must have signed the run.
     progress : Progress, optional
 
     Returns
@@ -262,7 +275,6 @@ def replay(
     True
     """
     from evaluator.replay.play import replay as play
-    from evaluator.run.signature import read_public_key
 
     return play(
         Path(run),
@@ -271,6 +283,5 @@ def replay(
         engine=engine,
         workers=workers,
         address=address,
-        public_key=None if public_key is None else read_public_key(Path(public_key)),
         progress=progress,
     )

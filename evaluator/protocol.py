@@ -19,6 +19,7 @@ __all__ = [
     "FAULT_CHECK",
     "FAULT_LIMIT",
     "FIRST_LOOK",
+    "FLIP_LIMIT",
     "INFRA_LIMIT",
     "MAX_BATCH",
     "PROTOCOLS",
@@ -36,6 +37,9 @@ INFRA_LIMIT = 0.001
 ACTION_FLIP_LIMIT = 0.05
 """Largest share of the repeated questions that may be answered differently: rounding does that to a few. A policy whose
 answers depend on what it was asked before, or in which order, does it to most, and has no rank."""
+FLIP_LIMIT = 0.005
+"""Where actions are simulated by another simulator than the run's: the largest share of other outcomes, at its 95 %
+upper bound, up to which they confirm the run."""
 AUDIT_SHARE, AUDIT_LEAST = 0.01, 30
 """Share of the episodes of a run that is repeated, and the smallest number of them."""
 FIRST_LOOK = 100

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
+from rema_data import environment
 from rema_data.errors import IntegrityError, MissingFileError
 from rema_data.json_files import read_json
 from rema_data.repair import reinstall, restore
@@ -24,9 +24,9 @@ def manifests_dir() -> Path:
     MissingFileError
         It is not a folder.
     """
-    override = os.environ.get("REMA_MANIFESTS")
+    override = environment.folder_of(environment.MANIFESTS)
     package = Path(__file__).resolve().parent
-    choices = [Path(override).expanduser()] if override else [package / "_manifests", package.parent / "manifests"]
+    choices = [override] if override else [package / "_manifests", package.parent / "manifests"]
     for folder in choices:
         if folder.is_dir():
             return folder

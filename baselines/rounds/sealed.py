@@ -13,14 +13,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock
-
 from baselines.rounds.plan import BlockPlan, CollectionPlan
 from baselines.rounds.recursion_plan import RecursionPlan, RoundPlan, networks_folder
 from baselines.tae.checkpoint import networks_in
 from evaluator.policy.shipped import CHECKPOINTS
 from rema_data.errors import IntegrityError, RunMismatchError
 from rema_data.json_files import read_json
+from rema_data.locks import lock
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import BlockEntry
 from rema_data.storage import storage_errors, write_atomic
@@ -47,7 +46,7 @@ def note(path: Path, key: str, value: Any) -> None:
     """Add or replace a note, while other processes may write into the file, too; errors as in ``read_notes``."""
     with storage_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with FileLock(path.with_name(f".{path.name}.lock")):  # held for milliseconds: wait for it
+        with lock(path.with_name(f".{path.name}.lock"), wait=True):  # held for milliseconds: wait for it
             write_atomic(path, json.dumps(read_notes(path) | {key: value}, indent=1) + "\n")
 
 

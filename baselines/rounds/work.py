@@ -21,14 +21,13 @@ import json
 import shlex
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import pydantic
-from filelock import FileLock, Timeout
 from typing_extensions import TypedDict  # pydantic needs this one before Python 3.12
 
 from baselines.rounds.plan import BlockPlan
@@ -36,6 +35,7 @@ from evaluator.run.records import Journal, read_journal
 from rema_data.bounded import npz_arrays, parquet_table
 from rema_data.errors import InputError, IntegrityError, RunMismatchError
 from rema_data.json_files import read_json
+from rema_data.locks import Busy, lock
 from rema_data.storage import storage_errors, write_atomic
 from rema_data.store.block import BlockKey, EncodedMaps
 from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS
@@ -146,27 +146,22 @@ class WorkFolder:
         ``identity`` is what decides a byte of a chunk. Raises InputError where another process collects there,
         RunMismatchError where it holds chunks of another plan, IntegrityError where a line of its log is damaged.
         """
-        with storage_errors(path):
-            path.mkdir(parents=True, exist_ok=True)
-            lock = FileLock(path / ".lock", timeout=0)
-            try:
-                lock.acquire()
-            except Timeout as error:
-                raise InputError(
-                    f"another process is collecting in {path}",
-                    hint="wait for it, or choose another folder with --output",
-                    path=str(path),
-                ) from error
-        try:
+        with ExitStack() as stack:
+            with storage_errors(path):
+                path.mkdir(parents=True, exist_ok=True)
+                try:
+                    stack.enter_context(lock(path / ".lock", hint="choose a folder on a local disk with --output"))
+                except Busy as error:
+                    raise InputError(
+                        f"another process is collecting in {path}",
+                        hint="wait for it, or choose another folder with --output",
+                        path=str(path),
+                    ) from error
             _check_owner(path, identity)
             _sweep(path)
             folder = WorkFolder(path)
-            try:
-                yield folder
-            finally:
-                folder._journal.close()
-        finally:
-            lock.release()
+            stack.callback(folder._journal.close)
+            yield folder
 
     def _file(self, chunk: Chunk) -> Path:
         return self.path / "chunks" / f"{chunk.name}.npz"

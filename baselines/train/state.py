@@ -11,17 +11,17 @@ import json
 import os
 import socket
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from filelock import FileLock, Timeout
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
 from rema_data.errors import InputError, RunMismatchError
 from rema_data.json_files import checked_digest, read_json, with_digest
+from rema_data.locks import Busy, lock
 from rema_data.storage import storage_errors, write_atomic
 from rema_data.validation import plain, record, validated
 
@@ -54,23 +54,21 @@ class _Card:
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
     """Lock the folder of a training, created where it is missing; InputError says which process works there."""
-    with storage_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        lock, owner = FileLock(folder / ".lock", timeout=0), folder / "owner.txt"
-        try:
-            lock.acquire()
-        except Timeout as error:
-            user = owner.read_text(encoding="utf-8") if owner.is_file() else "another process"
-            raise InputError(
-                f"{user} is working on this training: {folder}",
-                hint="wait for it, or choose another --output or --name",
-                path=str(folder),
-            ) from error
-    try:
+    owner = folder / "owner.txt"
+    with ExitStack() as stack:
+        with storage_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            try:
+                stack.enter_context(lock(folder / ".lock", hint="choose a folder on a local disk with --output"))
+            except Busy as error:
+                user = owner.read_text(encoding="utf-8") if owner.is_file() else "another process"
+                raise InputError(
+                    f"{user} is working on this training: {folder}",
+                    hint="wait for it, or choose another --output or --name",
+                    path=str(folder),
+                ) from error
         write_atomic(owner, f"process {os.getpid()} on {socket.gethostname()}")
         yield
-    finally:
-        lock.release()
 
 
 def write_state(folder: Path, identity: Mapping[str, Any], state: TrainingState) -> None:

@@ -10,12 +10,12 @@ from evaluator.leaderboard.export import COLUMNS, cells, titled_groups
 
 __all__ = ["print_board"]
 
-_STYLES = {"published": "dim", "privileged": "magenta", "random": "blue"}
+_STYLES = {"published": "dim", "privileged": "magenta", "simulator": "magenta", "random": "blue"}
 _IN_TITLE = ("task", "protocol")
 _NUMBERS = ("rank", "k/n", "rate %", "z")
 _OPTIONAL = ("failures", "sandbox", "errors", "funnel %", "z", "end-to-end %", "rank", "tag", "ties")
 """Columns that a narrow terminal does without, the first one first."""
-_LOUD = ("ANOTHER SIMULATOR", "LEFT OUT")
+_LOUD = ("ANOTHER SIMULATOR", "LEFT OUT", "NOT VERIFIED")
 
 
 def print_board(board: Board) -> None:

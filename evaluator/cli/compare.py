@@ -31,8 +31,10 @@ def compare(a: Path, b: Path, as_json: bool) -> None:
     Both must be of the same task, protocol and scenario list. --json has all discordant scenarios.
     """
     from evaluator.api import compare as compare_runs
+    from evaluator.cli.progress import StderrProgress
 
-    found = compare_runs(a, b)
+    with StderrProgress() as progress:
+        found = compare_runs(a, b, progress=progress)
     print_answer(found, as_json, _print)
 
 

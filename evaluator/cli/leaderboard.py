@@ -7,7 +7,8 @@ from pathlib import Path
 import click
 
 from evaluator.cli.options import json_option
-from rema_data.errors import MissingFileError
+from evaluator.cli.output import note
+from rema_data.errors import InputError, MissingFileError
 
 __all__ = ["leaderboard"]
 
@@ -20,17 +21,28 @@ __all__ = ["leaderboard"]
 @json_option
 @click.option("--entries/--no-entries", default=True, help="The entries that come with rema too.  [default: yes]")
 @click.option("--published/--no-published", default=True, help="The paper's rows too.  [default: yes]")
-def leaderboard(runs: tuple[Path, ...], form: str | None, as_json: bool, entries: bool, published: bool) -> None:
+@click.option("--verify", is_flag=True, help="Simulate the actions of everything that is not verified (minutes each).")
+@click.option(
+    "--record", is_flag=True, help="Simulate each of RUNS, entries in manifests/leaderboard, and write its record."
+)
+def leaderboard(
+    runs: tuple[Path, ...], form: str | None, as_json: bool, entries: bool, published: bool, verify: bool, record: bool
+) -> None:
     """Compare RUNS in one table, with 95 % intervals and letters for those without a significant difference.
 
     RUNS are run folders of `rema evaluate` and entries of `rema submit`; by default all run folders below runs/.
-    Only runs over the full test list have a rank. A run that is not finished, or damaged, is left out and named; where
-    one is damaged, the exit code says so.
+    Only runs over the full test list have a rank, and only where their actions were simulated: on this machine, or by
+    the CI of rema (verification records). The others stand apart. A run that is not finished, or damaged, is left out
+    and named; where one is damaged, the exit code says so.
     """
     from evaluator.api import leaderboard as make_board
+    from evaluator.cli.progress import StderrProgress
     from evaluator.leaderboard.export import export
 
-    board = make_board(runs or None, entries=entries, published=published)
+    if record:
+        _record(runs)
+    with StderrProgress() as progress:
+        board = make_board(runs or None, entries=entries, published=published, verify=verify, progress=progress)
     if as_json or form:
         click.echo(export(board, "json" if as_json else str(form)), nl=False)
     else:
@@ -40,3 +52,16 @@ def leaderboard(runs: tuple[Path, ...], form: str | None, as_json: bool, entries
     for error in board.refused:
         if not isinstance(error, MissingFileError):
             raise error
+
+
+def _record(entries: tuple[Path, ...]) -> None:
+    from evaluator.cli.progress import StderrProgress
+    from evaluator.leaderboard.verification import write_record
+    from evaluator.run.reading import read_run
+
+    if not entries:
+        raise InputError("there is nothing to record", hint="rema leaderboard --record manifests/leaderboard/NAME.json")
+    for entry in entries:
+        with StderrProgress() as progress:
+            path = write_record(read_run(entry), progress)
+        note(f"record: {path}")

@@ -19,11 +19,14 @@ def merge(runs: tuple[Path, ...], output: Path, as_json: bool) -> None:
     """Merge RUNS, the run folders of all shards of one evaluation (`rema evaluate --shard I/N`).
 
     They must be of the same policy, protocol, scenario list and simulator, without a gap and without an overlap. The
-    whole run has the same results.parquet, byte for byte, as one that was never divided.
+    whole run has the same results.parquet, byte for byte, as one that was never divided. A sample of their actions is
+    simulated again; where an outcome is another one, nothing is written.
     """
     # Imported here, so that a mistyped option is answered at once.
+    from evaluator.cli.progress import StderrProgress
     from evaluator.cli.result import print_result
     from evaluator.runner.merge import merge_runs
 
-    result = merge_runs(runs, output)
+    with StderrProgress() as progress:
+        result = merge_runs(runs, output, progress)
     print_result(result.summary, result.folder, as_json)

@@ -1,8 +1,19 @@
-"""The leaderboard, from result files alone."""
+"""The leaderboard: results that were simulated again, and beside them what somebody says."""
 
 from __future__ import annotations
 
-from evaluator.leaderboard.board import PUBLISHED_REMARK, Board, find_runs, leaderboard
-from evaluator.leaderboard.row import PUBLISHED, Row, published_rows, row_of
+from evaluator.leaderboard.board import PUBLISHED_REMARK, Board, apart, find_runs, leaderboard
+from evaluator.leaderboard.naming import PUBLISHED
+from evaluator.leaderboard.row import Row, published_rows, row_of
 
-__all__ = ["PUBLISHED", "PUBLISHED_REMARK", "Board", "Row", "find_runs", "leaderboard", "published_rows", "row_of"]
+__all__ = [
+    "PUBLISHED",
+    "PUBLISHED_REMARK",
+    "Board",
+    "Row",
+    "apart",
+    "find_runs",
+    "leaderboard",
+    "published_rows",
+    "row_of",
+]

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from evaluator.leaderboard.copies import in_order, once
+from evaluator.leaderboard.naming import PUBLISHED
 from evaluator.leaderboard.ranking import LEVEL, Pair, rank_runs
-from evaluator.leaderboard.row import PUBLISHED, Row, published_rows, row_of
+from evaluator.leaderboard.row import Row, published_rows, row_of
+from evaluator.leaderboard.verification import NOT_SIMULATED, known, records, verify
+from evaluator.rollout.backend import Backend
 from evaluator.run.reading import read_run
 from evaluator.run.run import Run
 from evaluator.sim.bullet import decisive
 from evaluator.statistics import detectable_difference
 from rema_data.errors import RemaError
+from rema_data.progress import Progress
 from rema_data.schema import TASKS
 
-__all__ = ["PUBLISHED_REMARK", "Board", "find_runs", "leaderboard"]
+__all__ = ["PUBLISHED_REMARK", "Board", "apart", "find_runs", "leaderboard"]
 
 PUBLISHED_REMARK = (
     "published: rates of the paper's Table 2, over more than 10,000 episodes each. Its scenes and its simulator are "
@@ -29,19 +34,33 @@ PUBLISHED_REMARK = (
 class Board:
     """The table."""
 
-    rows: tuple[Row, ...]  # by task and protocol: ranked and published rows by rate, then the others by rate
+    # by task and protocol: ranked and published rows by rate, the others by rate, and those that are not verified
+    rows: tuple[Row, ...]
     remarks: tuple[str, ...]  # what the rows mean, and which of them do not compare
     refused: tuple[RemaError, ...] = ()  # why a source is not among the rows; each is a remark as well
 
 
-def leaderboard(sources: Sequence[Path], published: bool = True) -> Board:
-    """The board of some run folders and submission files, and of the paper; see ``evaluator.leaderboard``.
+def leaderboard(
+    sources: Sequence[Path],
+    published: bool = True,
+    *,
+    simulate: bool = False,
+    engine: str = "process",
+    progress: Progress | None = None,
+    backend: Backend | None = None,
+) -> Board:
+    """The board of some run folders and entries, and of the paper; see ``evaluator.leaderboard``.
 
-    A run that is also there as a submission is shown once. An unfinished or changed source is left out and named. The
-    paper's rows are those of the tasks of the sources, or all where there is no source.
+    ``simulate``: simulate the actions of what is not verified; otherwise it stands apart. Runs and entries with the
+    same actions are shown once. An unfinished or changed source is left out and named. The paper's rows are those of
+    the tasks of the sources, or all where there is no source.
     """
-    read, refused = _read(sources)
-    runs = _once(read)
+
+    def settled(run: Run) -> Run:
+        return verify(run, progress, backend=backend, engine=engine) if simulate else run
+
+    read, refused = _read(sources, settled, backend)
+    runs, copies = once(in_order(read, records()))
     standings, pairs = rank_runs(runs)
     whole = {
         _policy(run): run.counts.rate
@@ -57,15 +76,23 @@ def leaderboard(sources: Sequence[Path], published: bool = True) -> Board:
         rows += [row for row in published_rows() if row.task in tasks]
     rows.sort(key=_place)
     left_out = [f"LEFT OUT: {error.message} ({error.hint})" for error in refused]
-    return Board(tuple(rows), (*left_out, *_remarks(rows, pairs)), refused)
+    shown_once = [
+        f"{copy.policy} ({copy.source}) has the actions of {first.policy} and is shown as that one."
+        for copy, first in copies
+        if (copy.policy, copy.provenance.policy_digest) != (first.policy, first.provenance.policy_digest)
+    ]
+    return Board(tuple(rows), (*left_out, *shown_once, *_remarks(rows, pairs)), refused)
 
 
-def _read(sources: Sequence[Path]) -> tuple[list[Run], tuple[RemaError, ...]]:
-    """The runs that can be read, and why the others cannot."""
+def _read(
+    sources: Sequence[Path], verified: Callable[[Run], Run], backend: Backend | None
+) -> tuple[list[Run], tuple[RemaError, ...]]:
+    """The runs that can be read, with what is known about them, and why the others cannot."""
     runs, refused = [], []
     for source in sources:
         try:
-            runs.append(read_run(source))
+            run = known(read_run(source), backend)
+            runs.append(run if run.verified or not run.has_actions else verified(run))
         except RemaError as error:
             refused.append(error)
     if refused and not runs:
@@ -78,26 +105,27 @@ def find_runs(folder: Path) -> list[Path]:
     return sorted(path.parent for path in folder.glob("*/summary.json"))
 
 
-def _once(runs: Sequence[Run]) -> list[Run]:
-    """Runs without copies of an earlier one; submissions come first, as they carry a name and a link."""
-    kept: dict[tuple[object, ...], Run] = {}
-    for number, run in enumerate(sorted(runs, key=lambda run: run.kind != "entry")):
-        same: tuple[object, ...] = (number,)
-        if run.provenance.policy_digest:
-            bits = (run.outcomes.success.tobytes(), run.outcomes.eligible.tobytes())
-            marks = (run.provenance.policy_digest, run.provenance.scenarios_hash)
-            same = (run.task, run.protocol, run.split, *marks, *bits)
-        kept.setdefault(same, run)
-    return list(kept.values())
-
-
 def _policy(run: Run) -> tuple[str, str]:
     return run.task, run.provenance.policy_digest or str(run.source)
 
 
 def _place(row: Row) -> tuple[object, ...]:
     last = bool(row.unranked) and row.tag != PUBLISHED
-    return list(TASKS).index(row.task), row.protocol, last, -(row.rate or 0.0), row.tag, row.policy, row.source
+    return (
+        list(TASKS).index(row.task),
+        row.protocol,
+        apart(row),
+        last,
+        -(row.rate or 0.0),
+        row.tag,
+        row.policy,
+        row.source,
+    )
+
+
+def apart(row: Row) -> bool:
+    """Whether a row stands apart, because nobody simulated its actions."""
+    return not row.verified and row.tag != PUBLISHED
 
 
 def _remarks(rows: Sequence[Row], pairs: Sequence[Pair]) -> Iterator[str]:
@@ -111,8 +139,15 @@ def _remarks(rows: Sequence[Row], pairs: Sequence[Pair]) -> Iterator[str]:
         )
     if any(row.tag == "privileged" for row in rows):
         yield "privileged: it saw the ground truth, so it has letters but no rank."
+    if any(row.tag == "simulator" for row in rows):
+        yield "simulator: it carries a simulator or the scenario list, so it has letters but no rank."
+    if any(apart(row) for row in rows):
+        yield (
+            "NOT VERIFIED: rows that stand apart are what somebody says: their actions were not simulated here, and no "
+            "verification record covers them. `rema leaderboard --verify` simulates those that hold actions."
+        )
     for row in rows:
-        if row.unranked and row.tag != PUBLISHED:
+        if row.unranked and row.tag != PUBLISHED and not (apart(row) and row.unranked.endswith(NOT_SIMULATED)):
             yield f"{row.policy} ({row.task}, {row.protocol}) has no rank: {row.unranked}."
     for task, protocol in dict.fromkeys((row.task, row.protocol) for row in rows):
         ranked = [row for row in rows if (row.task, row.protocol) == (task, protocol) and not row.unranked]

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.leaderboard.eligibility import installed_list
 from evaluator.run.run import Run
+from evaluator.scenarios import installed_list
 from evaluator.scenarios.strata import Targets, strata, targets_of_list
 from evaluator.sim.bullet import decisive
 from evaluator.statistics import (
@@ -159,6 +159,9 @@ def _remarks(a: Run, b: Run, n: int, lost: int) -> list[str]:
                 f"{run.source}: {run.unfinished:,} of its episodes were not finished. The others need not be a fair "
                 "sample: in a run that was stopped, failures of the policy are counted before anything is simulated."
             )
+    for run in (a, b):
+        if run.kind == "entry" and not run.verified:
+            found.append(f"NOT VERIFIED: the outcomes of {run.source} are what it says; it holds no actions.")
     if a.stopped_early or b.stopped_early:
         found.append("A run was stopped early because of its outcomes: its interval and p value are too optimistic.")
     for run in (a, b):

@@ -1,16 +1,18 @@
-"""The conditions of a rank: the full frozen test list, the current protocol, nothing lost, not stopped early."""
+"""The conditions of a rank: the full frozen test list, the current protocol, a name of its own, simulated results."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
-from evaluator.protocol import ACTION_FLIP_LIMIT, INFRA_LIMIT, protocol_hash
+from evaluator.leaderboard.naming import name_problem
+from evaluator.leaderboard.verification import why_not
+from evaluator.protocol import ACTION_FLIP_LIMIT, FAULT_LIMIT, INFRA_LIMIT, protocol_hash
+from evaluator.run.counts import Counts
 from evaluator.run.run import Run
-from evaluator.scenarios import SPLITS, VERSION, manifest_path
-from rema_data.manifests import read_manifest
+from evaluator.scenarios import SPLITS, installed_list
 
-__all__ = ["Check", "installed_list", "obstacles", "rank_checks"]
+__all__ = ["Check", "obstacles", "rank_checks"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,25 +26,37 @@ class Check:
     reason: str = ""  # in a few words, why a run that does not meet it has no rank
 
 
-def installed_list(task: str, split: str) -> tuple[str, int] | None:
-    """sha256 and number of scenarios of the frozen list of this installation; None where it has none."""
-    path = manifest_path(VERSION)
-    if not path.is_file():
-        return None
-
-    def named(content: Any) -> tuple[str, int] | None:
-        entry = content["lists"].get(f"{task}/{split}")
-        return None if entry is None else (str(entry["sha256"]), int(entry["count"]))
-
-    return read_manifest(path, "scenario manifest", named)
-
-
 def rank_checks(run: Run) -> list[Check]:
-    """Every condition of a rank, the weightiest first, and whether a run meets it."""
-    counts, test, audit, hashes = run.counts, SPLITS[0], run.audit, run.provenance
+    """Every condition of a rank, the weightiest first, and whether a run meets it.
+
+    An entry holds no results and no audit: what they would have to be is not among its conditions.
+    """
+    episodes, test, hashes = len(run.actions) if run.has_actions else run.counts.episodes, SPLITS[0], run.provenance
     sha256, count = installed_list(run.task, test) or ("", 0)
     same_list = bool(sha256) and hashes.scenarios_hash == sha256
-    ours, limit = protocol_hash(run.task, run.protocol), int(INFRA_LIMIT * counts.episodes)
+    ours, problem = protocol_hash(run.task, run.protocol), name_problem(run)
+    return [
+        Check("split", run.split == test, test, run.split, f"{run.split} split"),
+        Check("stopped_early", not run.stopped_early, "false", str(run.stopped_early).lower(), "stopped early"),
+        Check("scenarios_hash", same_list, sha256, hashes.scenarios_hash, "another scenario list"),
+        Check("episodes", episodes == count, str(count), str(episodes), f"{episodes:,} of {count:,} scenarios"),
+        Check("protocol_hash", hashes.protocol_hash == ours, ours, hashes.protocol_hash, "another protocol version"),
+        Check("name", not problem, "its own", problem or "ok", problem),
+        *(_answers(run.counts) if run.has_counts else ()),
+        *(_run_checks(run) if run.kind == "run" else ()),
+    ]
+
+
+def _answers(counts: Counts) -> Iterator[Check]:
+    """A policy that does not answer is no policy: `rema evaluate` stops there, and an entry has no rank."""
+    limit = int(FAULT_LIMIT * counts.eligible)
+    found = f"{counts.policy_errors:,} of {counts.eligible:,} episodes without a valid answer"
+    yield Check("policy_errors", counts.policy_errors <= limit, f"at most {limit}", str(counts.policy_errors), found)
+
+
+def _run_checks(run: Run) -> list[Check]:
+    """Conditions on what happened while a run was played."""
+    counts, audit, limit = run.counts, run.audit, int(INFRA_LIMIT * run.counts.episodes)
     repeated, outcome_flips, flips, limit_flips = run.stopped_early, 0, 0, 0.0
     if audit is not None:
         repeated, outcome_flips = True, audit.outcome_flips
@@ -50,17 +64,6 @@ def rank_checks(run: Run) -> list[Check]:
     found = "no repeats" if audit is None else f"{outcome_flips} of {audit.outcomes} repeated outcomes flipped"
     answers = "no repeats" if audit is None else f"{flips} of {audit.actions} repeated answers differed"
     return [
-        Check("split", run.split == test, test, run.split, f"{run.split} split"),
-        Check("stopped_early", not run.stopped_early, "false", str(run.stopped_early).lower(), "stopped early"),
-        Check("scenarios_hash", same_list, sha256, hashes.scenarios_hash, "another scenario list"),
-        Check(
-            "episodes",
-            counts.episodes == count,
-            str(count),
-            str(counts.episodes),
-            f"{counts.episodes:,} of {count:,} scenarios",
-        ),
-        Check("protocol_hash", hashes.protocol_hash == ours, ours, hashes.protocol_hash, "another protocol version"),
         Check("unfinished", not run.unfinished, "0", str(run.unfinished), f"{run.unfinished:,} episodes not finished"),
         Check(
             "infra_errors",
@@ -83,4 +86,8 @@ def rank_checks(run: Run) -> list[Check]:
 
 def obstacles(run: Run) -> list[Check]:
     """The conditions that keep a run from being ranked, the weightiest first; empty for a run that is."""
-    return [check for check in rank_checks(run) if not check.passed]
+    failed = [check for check in rank_checks(run) if not check.passed]
+    if not run.verified:
+        reason = why_not(run)
+        failed.append(Check("verified", False, "simulated here or by CI", reason, reason))
+    return failed

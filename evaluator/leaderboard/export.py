@@ -7,10 +7,11 @@ import dataclasses
 import html
 import io
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import groupby
 
-from evaluator.leaderboard import PUBLISHED, Board, Row
+from evaluator.leaderboard import PUBLISHED, Board, Row, apart
+from evaluator.leaderboard.escape import one_line, to_csv, to_latex, to_markdown, web_link
 from evaluator.statistics import format_interval, percent
 from rema_data.schema import TASKS
 
@@ -59,7 +60,7 @@ def cells(row: Row) -> tuple[str, ...]:
         row.tag,
         row.protocol,
         "-" if row.rank is None else str(row.rank),
-        f"> {row.episodes}" if row.successes is None else f"{row.successes}/{row.episodes}",
+        _counted(row),
         "-" if row.rate is None else percent(row.rate),
         "-" if row.ci95 is None else format_interval(row.ci95),
         row.ties,
@@ -72,6 +73,12 @@ def cells(row: Row) -> tuple[str, ...]:
     )
 
 
+def _counted(row: Row) -> str:
+    if row.successes is not None:
+        return f"{row.successes}/{row.episodes}"
+    return f"> {row.episodes}" if row.tag == PUBLISHED else "-"
+
+
 def _funnel(row: Row) -> str:
     """Share of all measured episodes that passed each step, where the policy plays several."""
     if len(row.funnel) < 2 or not row.episodes:
@@ -80,12 +87,14 @@ def _funnel(row: Row) -> str:
 
 
 def titled_groups(board: Board) -> list[tuple[str, list[Row]]]:
-    """The tables of the board, one a task and protocol, each with its title."""
+    """The tables of the board, each with its title: one a task and protocol, and one for what is not verified there."""
     groups = []
-    for (task, protocol), found in groupby(board.rows, key=lambda row: (row.task, row.protocol)):
+    for (task, protocol, unverified), found in groupby(
+        board.rows, key=lambda row: (row.task, row.protocol, apart(row))
+    ):
         rows = list(found)
         marks = {(row.scenarios_hash, row.protocol_hash) for row in rows if row.scenarios_hash and not row.unranked}
-        title = f"{task}, {protocol}"
+        title = f"{task}, {protocol}" + (": not verified" if unverified else "")
         for scenarios, rules in sorted(marks):
             title += f" (scenarios {scenarios[:_SHORT_HASH]}, protocol {rules[:_SHORT_HASH]})"
         groups.append((title, rows))
@@ -95,22 +104,33 @@ def titled_groups(board: Board) -> list[tuple[str, list[Row]]]:
 def matrix(board: Board, protocol: str) -> tuple[list[str], list[list[str]]]:
     """The header and the lines of a table with one line a policy and one column a task: rate, interval and letters.
 
-    Policies without a rank are left out, except privileged and published ones. Empty cells: not scored.
+    Policies without a rank are left out, except privileged and published ones, and, after the others, those of which
+    nobody verified the numbers. Empty cells: not scored.
     """
-    shown = [row for row in board.rows if row.protocol == protocol and (not row.unranked or row.tag == PUBLISHED)]
+    shown = [
+        row
+        for row in board.rows
+        if row.protocol == protocol
+        and (not row.unranked or row.tag == PUBLISHED or (apart(row) and row.rate is not None))
+    ]
     tasks = [task for task in TASKS if any(row.task == task for row in shown)]
-    lines: dict[tuple[bool, str, str, int], dict[str, Row]] = {}
+    lines: dict[tuple[int, str, str, int], dict[str, Row]] = {}
     for row in shown:
         number = 1  # policies of one name stay apart
-        while row.task in lines.setdefault(key := (row.tag == PUBLISHED, row.policy, row.tag, number), {}):
+        while row.task in lines.setdefault(key := (_block(row), row.policy, row.tag, number), {}):
             number += 1
         lines[key][row.task] = row
     order = sorted(lines, key=lambda key: (key[0], -max(row.rate or 0.0 for row in lines[key].values()), key))
     return ["policy", "kind", *tasks], [
-        [key[1] + (f" ({key[3]})" if key[3] > 1 else ""), key[2]]
+        [key[1] + (f" ({key[3]})" if key[3] > 1 else ""), key[2] + (", not verified" if key[0] == 1 else "")]
         + [_short(lines[key][task]) if task in lines[key] else "" for task in tasks]
         for key in order
     ]
+
+
+def _block(row: Row) -> int:
+    """Verified rows stand first, then the others, then the published ones."""
+    return 2 if row.tag == PUBLISHED else int(apart(row))
 
 
 def _short(row: Row) -> str:
@@ -121,14 +141,15 @@ def _short(row: Row) -> str:
     return f"{percent(row.rate)} [{format_interval(row.ci95)}] {row.ties}".strip()
 
 
-def markdown_table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """A Markdown table, with every cell escaped."""
+def markdown_table(header: Sequence[str], lines: Iterable[Iterable[str]]) -> str:
+    """A Markdown table of cells that are Markdown: see ``to_markdown`` for text from elsewhere."""
     whole = [header, ["---"] * len(header), *lines]
-    return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in whole)
+    return "\n".join(f"| {' | '.join(line)} |" for line in whole)
 
 
 def _markdown(board: Board) -> str:
-    return "\n\n".join([markdown_table(COLUMNS, [cells(row) for row in board.rows]), *board.remarks]) + "\n"
+    rows = [[to_markdown(cell) for cell in cells(row)] for row in board.rows]
+    return "\n\n".join([markdown_table(COLUMNS, rows), *map(to_markdown, board.remarks)]) + "\n"
 
 
 def _html(board: Board) -> str:
@@ -139,8 +160,8 @@ def _html(board: Board) -> str:
         parts.append("<tr>" + "".join(f"<th>{html.escape(name)}</th>" for name in _without_title(COLUMNS)) + "</tr>")
         for row in rows:
             line = [html.escape(cell) for cell in _without_title(cells(row))]
-            if row.link:
-                line[0] = f'<a href="{html.escape(row.link)}">{line[0]}</a>'
+            if link := web_link(row.link):
+                line[0] = f'<a href="{html.escape(link)}">{line[0]}</a>'
             body = "".join(f"<td>{cell}</td>" for cell in line)
             parts.append(f'<tr class="{html.escape(row.tag)}">{body}</tr>')
         parts.append("</table></div>")
@@ -176,31 +197,18 @@ def _latex(board: Board) -> str:
         parts += [
             "\\begin{table}",
             "\\centering",
-            f"\\caption{{{_tex(title)}}}",
+            f"\\caption{{{to_latex(title)}}}",
             f"\\begin{{tabular}}{{{'l' * len(columns)}}}",
             "\\toprule",
-            " & ".join(map(_tex, columns)) + r" \\",
+            " & ".join(map(to_latex, columns)) + r" \\",
             "\\midrule",
-            *(" & ".join(map(_tex, _without_title(cells(row)))) + r" \\" for row in rows),
+            *(" & ".join(map(to_latex, _without_title(cells(row)))) + r" \\" for row in rows),
             "\\bottomrule",
             "\\end{tabular}",
             "\\end{table}",
             "",
         ]
-    return "\n".join([*parts, *(f"% {remark}" for remark in board.remarks)]) + "\n"
-
-
-_TEX = {character: f"\\{character}" for character in "&%$#_{}"} | {
-    "\\": r"\textbackslash{}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "<": r"\textless{}",
-    ">": r"\textgreater{}",
-}
-
-
-def _tex(text: str) -> str:
-    return "".join(_TEX.get(character, character) for character in text)
+    return "\n".join([*parts, *(f"% {one_line(remark)}" for remark in board.remarks)]) + "\n"
 
 
 def _without_title(line: Sequence[str]) -> list[str]:
@@ -223,7 +231,10 @@ def _csv(board: Board) -> str:
         for name in _PAIRS:
             line += content[name] or ("", "")
         writer.writerow(
-            [*line, *(json.dumps(content[name], sort_keys=True) if content[name] else "" for name in _NESTED)]
+            [
+                *map(to_csv, line),
+                *(json.dumps(content[name], sort_keys=True) if content[name] else "" for name in _NESTED),
+            ]
         )
     return text.getvalue()
 

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
+from evaluator.leaderboard.copies import near_copies
 from evaluator.leaderboard.eligibility import obstacles
-from evaluator.run.run import Outcomes, Run
+from evaluator.run.derived import Outcomes
+from evaluator.run.run import Run
 from evaluator.statistics import PairTable, holm, midp_mcnemar, pair_table, tie_letters
 
 __all__ = ["LEVEL", "Pair", "Standing", "rank_runs"]
@@ -20,10 +22,10 @@ LEVEL = 0.05
 class Standing:
     """Place of a run among the others of its task and protocol."""
 
-    # 1 plus the unprivileged policies that are significantly better; None: privileged or unranked
+    # 1 plus the policies with a rank that are significantly better; None: privileged, a simulator, or unranked
     rank: int | None = None
     ties: str = ""  # letters shared with the runs from which it does not differ significantly
-    unranked: str = ""  # why it has no rank; empty if it has, or is privileged
+    unranked: str = ""  # why it has no rank; empty if it has, or its kind has none
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,10 +49,13 @@ def rank_runs(runs: Sequence[Run]) -> tuple[list[Standing], list[Pair]]:
     """Standings of ``runs``, in their order, and the pairs that were tested.
 
     The family of the adjustment is every pair of ranked runs of one task and protocol, over all tasks and protocols
-    given. A run that lost episodes to the infrastructure is tested with all of them failed and with all of them solved
-    as well: where that changes who is better, it has no rank.
+    given. A run with almost the actions of an earlier one (``runs`` are in that order) has no rank and is in no pair.
+    One that lost episodes to the infrastructure is tested with all of them failed and with all of them solved as well:
+    where that changes who is better, it has no rank.
     """
     reasons = [next((obstacle.reason for obstacle in obstacles(run)), "") for run in runs]
+    for n, original in near_copies(runs, [n for n, reason in enumerate(reasons) if not reason]).items():
+        reasons[n] = f"almost all of its actions are those of {runs[original].policy}"
     outcomes = {n: run.outcomes for n, run in enumerate(runs) if not reasons[n]}
     for n in _undecided(runs, outcomes):
         reasons[n] = "its rank depends on episodes lost to the infrastructure"
@@ -59,7 +64,7 @@ def rank_runs(runs: Sequence[Run]) -> tuple[list[Standing], list[Pair]]:
     letters = _letters(runs, list(outcomes), pairs)
     standings = []
     for n, run in enumerate(runs):
-        ranked = n in outcomes and run.tag != "privileged"
+        ranked = n in outcomes and run.honest
         standings.append(Standing(1 + _beaten_by(n, runs, pairs) if ranked else None, letters.get(n, ""), reasons[n]))
     return standings, pairs
 
@@ -73,7 +78,7 @@ def _undecided(runs: Sequence[Run], outcomes: dict[int, Outcomes]) -> list[int]:
 def _beaten_by(run: int, runs: Sequence[Run], pairs: Sequence[Pair]) -> int:
     """Number of runs without privilege that are better than ``run`` beyond chance."""
     winners = [pair.better for pair in pairs if run in (pair.first, pair.second)]
-    return sum(runs[winner].tag != "privileged" for winner in winners if winner not in (None, run))
+    return sum(runs[winner].honest for winner in winners if winner not in (None, run))
 
 
 def _test(runs: Sequence[Run], outcomes: dict[int, Outcomes]) -> list[Pair]:

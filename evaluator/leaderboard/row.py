@@ -6,19 +6,14 @@ import json
 from dataclasses import dataclass
 from typing import Any
 
+from evaluator.leaderboard.naming import PUBLISHED, TAGS
 from evaluator.leaderboard.published import published_rate, published_table
-from evaluator.policy.named import KINDS
+from evaluator.run.audit import Audit
 from evaluator.run.counts import FunnelStep
 from evaluator.run.run import Run
-from evaluator.run.summary import Audit
 from evaluator.statistics import rate_interval, z_against_published
 
 __all__ = ["PUBLISHED", "TAGS", "Row", "published_rows", "row_of"]
-
-PUBLISHED = "published"
-"""The tag of the paper's rows."""
-TAGS = ("submitted", *KINDS, PUBLISHED)
-"""Kinds of rows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +21,7 @@ class Row:
     """One policy on one task."""
 
     policy: str
-    tag: str  # ``submitted``, ``learned`` (a built-in network), ``privileged``, ``random`` or ``published``
+    tag: str  # one of ``TAGS``: ``submitted``, ``learned`` (a built-in network), ``privileged``, ``random``, ...
     task: str
     protocol: str
     split: str
@@ -44,6 +39,7 @@ class Row:
     rank: int | None = None  # this and the next two as in ``Standing``
     ties: str = ""
     unranked: str = ""
+    verified: str = ""  # as in ``Run``; empty if nobody simulated its actions, and for published rows
     end_to_end: float | None = None  # rate over the whole task, on conditional rows of tasks of several steps
     z: float | None = None  # distance to the published rate of the same policy and task, in standard errors
     policy_digest: str = ""  # this, the hashes, ``fingerprint`` and ``isolation`` are empty if published
@@ -57,9 +53,29 @@ class Row:
 
 def row_of(run: Run, **standing: Any) -> Row:
     """The row of a run; ``standing`` are the fields that depend on the other rows."""
-    counts, provenance, z = run.counts, run.provenance, None
+    provenance, z = run.provenance, None
+    if not run.has_counts:
+        return Row(
+            policy=run.policy,
+            tag=run.tag,
+            task=run.task,
+            protocol=run.protocol,
+            split=run.split,
+            successes=None,
+            episodes=0,
+            rate=None,
+            ci95=None,
+            policy_digest=provenance.policy_digest,
+            protocol_hash=provenance.protocol_hash,
+            scenarios_hash=provenance.scenarios_hash,
+            source=str(run.source),
+            link=run.link,
+            isolation=run.isolation,
+            **standing,
+        )
+    counts = run.counts
     # A submitted "joint.py" is not the paper's joint.
-    comparable = run.protocol == "conditional" and run.tag != "submitted"
+    comparable = run.verified and run.protocol == "conditional" and run.tag not in ("submitted", "simulator")
     known = published_rate(run.policy, run.task) if comparable else None
     if known is not None and counts.eligible:
         z, _ = z_against_published(counts.successes, counts.eligible, known)
@@ -87,6 +103,7 @@ def row_of(run: Run, **standing: Any) -> Row:
         source=str(run.source),
         link=run.link,
         isolation=run.isolation,
+        verified=run.verified,
         **standing,
     )
 

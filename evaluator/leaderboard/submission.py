@@ -1,4 +1,4 @@
-"""Submission checks: the conditions that a finished run must meet."""
+"""Submission checks: the conditions that a finished run must meet, the last of which simulates every action again."""
 
 from __future__ import annotations
 
@@ -8,61 +8,49 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from evaluator.leaderboard.eligibility import Check, rank_checks
-from evaluator.leaderboard.published import published_table
-from evaluator.leaderboard.row import TAGS
-from evaluator.policy.named import is_reserved
-from evaluator.run.entry import Link, Name
+from evaluator.leaderboard.naming import name_problem
+from evaluator.protocol import FLIP_LIMIT
+from evaluator.replay import ReplayReport, replay
+from evaluator.rollout.backend import Backend
+from evaluator.run.entry_fields import Link, Name
 from evaluator.run.reading import read_run
 from evaluator.run.run import Run
 from evaluator.run.seal import RESULTS_FILE, SUMMARY_FILE
 from evaluator.scenarios import VERSION
 from rema_data.errors import SubmissionError
+from rema_data.progress import Progress
 from rema_data.validation import validated
 
-__all__ = ["check_run", "make_entry"]
+__all__ = ["Inspection", "inspect_run", "make_entry"]
 
 _DIGESTS = ("policy_digest", "protocol_hash", "scenarios_hash")
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _SHOWN = 200
 
 
-def check_run(folder: Path) -> list[Check]:
-    """Every condition that a run must meet to be submitted, and whether it does; the folder must be sealed."""
-    return _inspect(folder)[0]
+@dataclasses.dataclass(frozen=True, eq=False)
+class Inspection:
+    """A run, every condition that it must meet to be submitted, and whether it does."""
+
+    run: Run
+    checks: tuple[Check, ...]
+
+    @property
+    def valid(self) -> bool:
+        """Whether all conditions are met."""
+        return all(check.passed for check in self.checks)
 
 
-def make_entry(folder: Path, name: str = "", link: str = "") -> Run:
-    """A run that meets every condition, as ``encode`` makes a submission file of it.
-
-    ``name`` is the policy's on the board (that of the run by default), ``link`` where to read about it. Raises
-    InputError where either cannot be used, SubmissionError where a condition is not met, and what ``read_run`` raises.
-    """
-    checks, run = _inspect(folder)
-    failed = [check for check in checks if not check.passed]
-    if failed:
-        lines = "".join(f"\n  {check.what}: {check.found}; must be {check.required}" for check in failed)
-        raise SubmissionError(
-            f"{folder} cannot be submitted:{lines}",
-            hint="see docs/submit.md for what a run must be",
-            path=str(folder),
-            failed=[check.what for check in failed],
-        )
-    hint = "choose another --name or --link"
-    shown: str = validated(Name, name or run.policy, "--name", hint=hint)  # type: ignore[arg-type]
-    own = is_reserved(shown)
-    if (own and shown != run.policy) or (not own and shown in {*published_table()["success_percent"], *TAGS}):
-        raise SubmissionError(
-            f"{shown!r} is the name of a built-in policy, a published one or a kind of policy, "
-            f"the run is of {run.policy!r}",
-            hint="choose another name with --name",
-            name=shown,
-        )
-    address: str = validated(Link, link, "--link", hint=hint)  # type: ignore[arg-type]
-    return dataclasses.replace(run, policy=shown, link=address)
-
-
-def _inspect(folder: Path) -> tuple[list[Check], Run]:
-    """The checks of a run, and the run; without those on its rows where they cannot be read."""
+def inspect_run(
+    folder: Path,
+    *,
+    engine: str = "process",
+    workers: int | None = None,
+    address: str | None = None,
+    progress: Progress | None = None,
+    backend: Backend | None = None,
+) -> Inspection:
+    """Check a run; the folder must be sealed. Every action is simulated again where everything else is in order."""
     run = read_run(folder, with_findings=True)
     untrue = [finding for finding in run.findings if finding.file == SUMMARY_FILE and finding.where]
     changed = [finding for finding in run.findings if finding not in untrue]
@@ -77,7 +65,46 @@ def _inspect(folder: Path) -> tuple[list[Check], Run]:
     ]
     if run.folder.counts is not None and run.folder.summary is not None:
         checks += _checks(run)
-    return checks, run
+    if all(check.passed for check in checks):
+        report = replay(folder, engine=engine, workers=workers, address=address, progress=progress, backend=backend)
+        checks.append(_simulated(report))
+    return Inspection(run, tuple(checks))
+
+
+def _simulated(report: ReplayReport) -> Check:
+    found = "ok"
+    if report.findings:
+        named = "; ".join(map(str, report.findings))[:_SHOWN]
+        found = f"{report.different_rows:,} of {report.replayed:,} rows are not: {named}"
+    elif not report.verified:
+        found = f"another simulator: up to {100 * report.flips_ci95[1]:.2f} % other outcomes (limit {FLIP_LIMIT:.1%})"
+    return Check("simulated", report.verified, "every row is what its recorded actions give", found)
+
+
+def make_entry(inspection: Inspection, name: str = "", link: str = "", *, simulator: bool = False) -> Run:
+    """A run that meets every condition, as ``encode`` makes an entry of it.
+
+    ``name`` is the policy's on the board (that of the run by default), ``link`` where to read about it; ``simulator``
+    declares that the policy carries a simulator or the scenario list. Raises InputError where a text cannot be used,
+    SubmissionError where a condition is not met or the name is not free.
+    """
+    run, folder = inspection.run, inspection.run.source
+    failed = [check for check in inspection.checks if not check.passed]
+    if failed:
+        lines = "".join(f"\n  {check.what}: {check.found}; must be {check.required}" for check in failed)
+        raise SubmissionError(
+            f"{folder} cannot be submitted:{lines}",
+            hint="see docs/submit.md for what a run must be",
+            path=str(folder),
+            failed=[check.what for check in failed],
+        )
+    hint = "choose another --name or --link"
+    shown: str = validated(Name, name or run.policy, "--name", hint=hint)  # type: ignore[arg-type]
+    if problem := name_problem(run, shown):
+        raise SubmissionError(problem, hint="choose another name with --name", name=shown)
+    address: str = validated(Link, link, "--link", hint=hint)  # type: ignore[arg-type]
+    kind = "simulator" if simulator else dataclasses.replace(run, policy=shown).tag
+    return dataclasses.replace(run, policy=shown, link=address, kind_of_policy=kind)
 
 
 def _checks(run: Run) -> Iterator[Check]:

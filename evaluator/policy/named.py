@@ -16,7 +16,7 @@ __all__ = ["GROUP", "KINDS", "PRIVILEGED_KINDS", "NamedPolicy", "find_named", "k
 
 GROUP = "rema.policies"
 """The entry points that name policies."""
-KINDS = ("learned", "heuristic", "privileged", "random", "reference")
+KINDS = ("learned", "heuristic", "privileged", "random", "reference", "simulator")
 """What a named policy may be; a policy without a name is ``submitted``."""
 PRIVILEGED_KINDS = ("privileged", "reference")
 """Kinds that see the ground truth."""
@@ -28,8 +28,8 @@ class NamedPolicy:
 
     file: Path  # its Python file, absolute; it imports its own package by absolute imports
     class_name: str
-    # learned, heuristic, privileged, random or reference: shown on the leaderboard. ``privileged`` sees the ground
-    # truth; ``reference`` does too, and prepares scenarios
+    # one of ``KINDS``: shown on the leaderboard. ``privileged`` sees the ground truth; ``reference`` does too, and
+    # prepares scenarios; ``simulator`` carries a simulator or the scenario list
     kind: str
     description: str  # one line
     checkpoint: Path | None = None  # weights that its package carries, for a run that names none

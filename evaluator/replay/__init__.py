@@ -7,6 +7,6 @@ simulating the recorded actions again and by counting the rows again.
 from __future__ import annotations
 
 from evaluator.replay.play import replay
-from evaluator.replay.report import ReplayReport, sign
+from evaluator.replay.report import ReplayReport
 
-__all__ = ["ReplayReport", "replay", "sign"]
+__all__ = ["ReplayReport", "replay"]

@@ -2,41 +2,34 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import secrets
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from evaluator.engines import InfraError, check_engine
 from evaluator.engines.child import call_in_child
 from evaluator.replay.report import ReplayReport
-from evaluator.rollout.simulate import pending_jobs, simulate_jobs
-from evaluator.run.actions import NOT_ASKED, POLICY_ERROR, recorded_actions
+from evaluator.rollout.derive import invalid_actions, simulate_recorded, world_identity
+from evaluator.run.actions import recorded_actions
 from evaluator.run.check import Finding, row_name, shortened
 from evaluator.run.counts import unfinished
+from evaluator.run.derived import derived_of, remember
 from evaluator.run.header import RUN_FILE
 from evaluator.run.plan import Plan, scenario_list
 from evaluator.run.reading import read_run
 from evaluator.run.records import Records
 from evaluator.run.run import Run
-from evaluator.run.seal import ACTIONS_FILE, SUMMARY_FILE
-from evaluator.run.signature import SIGNATURE_FILE, is_signed_by, key_name
+from evaluator.run.seal import ACTIONS_FILE
 from evaluator.run.tables import results_table, scenario_columns
 from evaluator.runner import Backend, default_backend
 from evaluator.scenarios import ScenarioList
 from evaluator.sim.bullet import decisive
 from evaluator.statistics import clopper_pearson
-from rema_data import grid
-from rema_data.errors import InputError
+from rema_data.errors import InputError, RunMismatchError
 from rema_data.progress import Progress, Silent
-
-if TYPE_CHECKING:
-    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 __all__ = ["replay"]
 
@@ -49,11 +42,10 @@ def replay(
     engine: str = "process",
     workers: int | None = None,
     address: str | None = None,
-    public_key: Ed25519PublicKey | None = None,
     progress: Progress | None = None,
     backend: Backend | None = None,
 ) -> ReplayReport:
-    """Check a finished run: its seal, its signature, its statistics, and a share of its episodes by simulation.
+    """Check a finished run: its seal, its statistics, and a share of its episodes by simulation.
 
     ``backend`` is the real world by default; its policy is not used. The share is drawn at random, so that nobody can
     predict which rows will be checked.
@@ -63,10 +55,9 @@ def replay(
     check_engine(engine, workers, address)
     run = read_run(folder, with_findings=True)
     job = _Replay(run, fraction, seed, progress or Silent(), backend or default_backend())
-    job.check_signature(public_key)
     if not any(finding.file == RUN_FILE for finding in run.findings):
         job.check(engine, workers, address)
-    return job.report(public_key)
+    return job.report()
 
 
 class _Replay:
@@ -76,45 +67,49 @@ class _Replay:
         self.run, self.fraction, self.seed = run, fraction, seed
         self.progress, self.backend = progress, backend
         self.findings = list(run.findings)
-        self.signature: bytes | None = None
         self.differences: dict[str, tuple[Any, Any]] = {}
         self.drawn: int | None = None
         self.measured = self.unfinished = self.infra_errors = 0
         self.replayed = self.lost = self.different = self.flips = 0
 
-    def check_signature(self, key: Ed25519PublicKey | None) -> None:
-        path = self.run.source / SIGNATURE_FILE
-        self.signature = path.read_bytes() if path.is_file() else None
-        if key is None:
-            return
-        if self.signature is None:
-            self.findings.append(Finding(SIGNATURE_FILE, "", "is missing: the run is not signed"))
-        elif not is_signed_by(key, self.signature, self.run.folder.payload):
-            detail = f"was not made over this {RUN_FILE} with the key {key_name(key)[:16]}"
-            self.findings.append(Finding(SIGNATURE_FILE, "", detail))
-
     def check(self, engine: str, workers: int | None, address: str | None) -> None:
         """Statistics and rows, as far as they can be read."""
         run, backend, files = self.run, self.backend, self.run.folder
-        scenarios = scenario_list(run.header)
+        try:
+            scenarios = scenario_list(run.header)
+        except RunMismatchError:
+            if not self.findings:
+                raise
+            return  # of a header that was changed
         here = call_in_child(backend.fingerprint)
         self.differences = _world_differences(run, here, backend.protocol_hash(run.task, run.protocol))
         if files.table is None or files.table.num_rows != run.header["episodes"]:
             return
         plan = Plan(scenarios.scenarios[: run.counts.episodes], run.task, run.protocol)
         self.unfinished, self.infra_errors = unfinished(plan, run.table), run.counts.infra_errors
-        if files.summary is not None and self.unfinished != run.unfinished:
-            detail = f"says {run.unfinished}, {run.results_path.name} gives {self.unfinished}"
-            self.findings.append(Finding(SUMMARY_FILE, "unfinished", detail))
         if files.actions is None:
             return
         if not self.differences:
-            self.findings += _invalid_actions(run, files.actions, plan, backend.valid_actions)
+            for row, step, action in invalid_actions(plan, files.actions, backend):
+                where = f"{row_name(run.table, row)}, step {step}"
+                self.findings.append(Finding(ACTIONS_FILE, where, f"action {action} is not a valid one"))
         records = recorded_actions(files.actions, plan.steps)
         sample = self._sample(np.flatnonzero(run.outcomes.eligible).tolist())
         drawn = Plan([plan.scenarios[row] for row in sample], run.task, run.protocol)
-        self._simulate(drawn, records, engine, workers, address)
+        simulate_recorded(
+            drawn,
+            records,
+            backend,
+            self.progress,
+            phase="replay",
+            engine=engine,
+            workers=workers,
+            address=address,
+        )
         self._compare(scenarios, plan, records, set(sample))
+        if self.measured == self.replayed == len(plan.scenarios) and not (self.findings or self.differences):
+            found = derived_of(results_table(scenarios, self.replayed, plan.steps, records), plan.steps, here)
+            remember(world_identity(backend), run.comparable, files.actions, found)
 
     def _sample(self, measured: list[int]) -> list[int]:
         """Rows to be simulated again, ascending."""
@@ -125,23 +120,6 @@ class _Replay:
         self.drawn = secrets.randbits(32) if self.seed is None else self.seed
         chosen = np.random.default_rng(self.drawn).choice(len(measured), count, replace=False)
         return sorted(measured[position] for position in chosen.tolist())
-
-    def _simulate(self, plan: Plan, records: Records, engine: str, workers: int | None, address: str | None) -> None:
-        for step in plan.steps:
-            jobs = pending_jobs(plan.alive(step, records), step, records)
-            if jobs:
-                self.progress.phase("replay", len(jobs))
-                simulate_jobs(
-                    jobs,
-                    {job.key: (job.key, step) for job in jobs},
-                    records,
-                    self.progress,
-                    simulator=self.backend.simulator,
-                    engine=engine,
-                    workers=workers,
-                    order="shuffled",
-                    address=address,
-                )
 
     def _compare(self, scenarios: ScenarioList, plan: Plan, records: Records, sample: set[int]) -> None:
         """Every row against what it should be: scenario and action in all, outcomes in the sample."""
@@ -163,15 +141,14 @@ class _Replay:
                 detail = f"{name} says {shortened(said[name])}, the replay gives {shortened(found[name])}{more}"
                 self.findings.append(Finding(self.run.results_path.name, row_name(table, row), detail))
 
-    def report(self, key: Ed25519PublicKey | None) -> ReplayReport:
+    def report(self) -> ReplayReport:
         run, summary = self.run, self.run.folder.summary or {}
         return ReplayReport(
             run=str(run.source),
             policy=run.policy,
             task=run.task,
             protocol=run.protocol,
-            merkle_root=run.provenance.merkle_root,
-            run_sha256=hashlib.sha256(run.folder.payload).hexdigest(),
+            seal=run.provenance.seal,
             episodes=run.header["episodes"],
             unfinished=self.unfinished,
             infra_errors=self.infra_errors,
@@ -183,9 +160,7 @@ class _Replay:
             different_rows=self.different,
             different_ci95=self._share(self.different),
             flips=self.flips,
-            flips_ci95=self._share(self.flips),
-            signed=self.signature is not None,
-            signer=None if key is None else key_name(key),
+            flips_ci95=clopper_pearson(self.flips, self.replayed) if self.differences else self._share(self.flips),
             audit=summary.get("audit"),
             findings=tuple(self.findings),
         )
@@ -203,18 +178,3 @@ def _world_differences(run: Run, fingerprint: dict[str, str], protocol_hash: str
     pairs = {name: (known.get(name), here.get(name)) for name in sorted(known.keys() | here.keys())}
     pairs["protocol_hash"] = (run.provenance.protocol_hash, protocol_hash)
     return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
-
-
-def _invalid_actions(
-    run: Run,
-    actions: npt.NDArray[np.uint16],
-    plan: Plan,
-    valid_actions: Callable[[str, int], npt.NDArray[np.bool_]],
-) -> Iterator[Finding]:
-    """Recorded actions that the protocol does not allow."""
-    for column, step in enumerate(plan.steps):
-        valid = valid_actions(plan.task, step).reshape(grid.ACTIONS)
-        taken = actions[:, column]
-        for row in np.flatnonzero(~valid[taken] & (taken != POLICY_ERROR) & (taken != NOT_ASKED)).tolist():
-            where = f"{row_name(run.table, row)}, step {step}"
-            yield Finding(ACTIONS_FILE, where, f"action {taken[row]} is not a valid one")

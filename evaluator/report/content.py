@@ -166,7 +166,7 @@ def provenance(run: Run) -> list[tuple[str, str]]:
         ("scenarios hash", found.scenarios_hash),
         ("simulator", ", ".join(f"{name} {value}" for name, value in found.fingerprint.items())),
         (results.name, f"sha256 {hashlib.sha256(results.read_bytes()).hexdigest()}"),
-        *([("root over the episodes", found.merkle_root)] if found.merkle_root else []),
+        *([("seal", found.seal)] if found.seal else []),
     ]
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,16 +13,22 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from evaluator.protocol import acting_steps
-from evaluator.run.actions import NOT_ASKED, POLICY_ERROR, actions_of, decode_actions
-from evaluator.run.counts import Counts, count_rows, same_numbers, summary_numbers
+from evaluator.run.actions import NOT_ASKED, POLICY_ERROR, actions_of, decode_actions, encode_actions
+from evaluator.run.counts import Counts, count_rows, same_numbers, summary_numbers, unfinished
 from evaluator.run.header import RUN_FILE, encode_header
-from evaluator.run.merkle import HASH_BYTES, merkle_root
-from evaluator.run.rows import row_leaves
-from evaluator.run.seal import ACTIONS_FILE, LEAVES_FILE, SUMMARY_FILE, changed_parts, results_name, seal_is_whole
-from evaluator.run.summary import read_summary
+from evaluator.run.plan import Plan, scenario_list
+from evaluator.run.seal import (
+    ACTIONS_FILE,
+    SUMMARY_FILE,
+    old_seal_problems,
+    results_name,
+    seal_of,
+    sealed_names,
+)
+from evaluator.run.summary import read_summary, summarise
 from evaluator.run.tables import read_results
 from evaluator.statistics import wilson
-from rema_data.errors import InputError
+from rema_data.errors import InputError, RemaError
 from rema_data.storage import storage_errors
 
 __all__ = ["Finding", "RunFiles", "read_files", "row_name", "shortened"]
@@ -54,8 +59,9 @@ class RunFiles:
     table: pa.Table | None = None  # the results table
     stored: pa.Table | None = None  # the same without the columns that are newer than the file
     counts: Counts | None = None  # of the table
-    # (episodes, steps) of ``actions.bin``, or the table's where that changed; only if rows are compared
+    # (episodes, steps): ``actions.bin``, or the actions of the table where there is none that can be read
     actions: npt.NDArray[np.uint16] | None = None
+    unfinished: int | None = None  # counted with the scenario list; None where that is not here
     summary: dict[str, Any] | None = None
     findings: tuple[Finding, ...] = ()  # empty where everything is as it was sealed, and the files agree
 
@@ -72,48 +78,40 @@ def row_name(table: pa.Table | None, row: int) -> str:
     return f"row {row} ({table.column('scenario')[row].as_py()})"
 
 
-def read_files(folder: Path, header: dict[str, Any], payload: bytes, *, every_row: bool) -> RunFiles:
-    """Read the files of a run, and compare them with the seal where there is one.
+def read_files(folder: Path, header: dict[str, Any], payload: bytes) -> RunFiles:
+    """Read the files of a run, and compare them with the seal where there is one, and with each other.
 
-    ``every_row`` compares rows and actions one by one even where every file has the bytes that were sealed. An
-    InputError says that ``summary.json`` is as it was written, but not the summary of a run.
+    An InputError says that ``summary.json`` is as it was written, but not the summary of a run.
     """
-    found = list(_header_findings(header, payload)) if "seal" in header else []
-    identity = header["identity"]
+    identity, results = header["identity"], results_name(header)
     steps = acting_steps(identity["task"], identity["protocol"])
-    if "seal" in header and (not seal_is_whole(header) or header["seal"]["steps"] != list(steps)):
-        found = found or [Finding(RUN_FILE, "seal", "is of other steps than the protocol's")]
-        return RunFiles(header, payload, findings=tuple(found))
-    results = results_name(header)
-    sealed = header["seal"]["files"] if "seal" in header else {}
-    files = {name: _read(folder / name) for name in sealed or (results, SUMMARY_FILE)}
-    found += [Finding(name, "", "is missing") for name, content in files.items() if content is None]
-    changed = {name for name in sealed if not _has_digest(files[name], sealed[name])}
+    names = [*sealed_names(header), SUMMARY_FILE] if "seal" in header else [results, SUMMARY_FILE]
+    files = {name: _read(folder / name) for name in names}
+    found = [Finding(name, "", "is missing") for name, content in files.items() if content is None]
     content = files[results]
     table, stored, problems = (None, None, []) if content is None else read_results(content, identity["task"])
-    actions = None
-    if sealed and (every_row or changed):
-        found += _row_findings(header, stored, files[LEAVES_FILE], changed)
-        actions, wrong = _actions(header, table, files[ACTIONS_FILE], changed)
-        found += wrong
     found += [Finding(results, where, detail) for where, detail in problems]
     if table is not None and table.num_rows != header["episodes"]:
         detail = f"has {table.num_rows} rows, the run has {header['episodes']} episodes"
         found.append(Finding(results, "", detail))
+    shown = actions_of(table, steps) if table is not None and table.num_rows == header["episodes"] else None
+    actions, wrong = _actions(header, files, table, shown) if "seal" in header else (shown, [])
+    found += wrong
+    if "seal" in header:
+        found = [*_seal_findings(header, payload, files, bool(found)), *found]
     summary = None
     if (content := files[SUMMARY_FILE]) is not None:
-        if SUMMARY_FILE in changed:
-            found.append(Finding(SUMMARY_FILE, "", "is not what was sealed"))
         try:
             summary = read_summary(content, folder / SUMMARY_FILE)
         except InputError as error:
-            if not found:
+            if "seal" not in header:
                 raise
             found.append(Finding(SUMMARY_FILE, "", f"cannot be read: {error.message}"))
     counts = None if table is None else count_rows(table, steps)
+    left = None if table is None or counts is None else _unfinished(header, table)
     if summary is not None:
-        found += _contradictions(header, summary, counts, table)
-    return RunFiles(header, payload, table, stored, counts, actions, summary, tuple(found))
+        found += _contradictions(header, summary, counts, table, left)
+    return RunFiles(header, payload, table, stored, counts, actions, left, summary, tuple(found))
 
 
 def _read(path: Path) -> bytes | None:
@@ -121,42 +119,55 @@ def _read(path: Path) -> bytes | None:
         return path.read_bytes() if path.is_file() else None
 
 
-def _has_digest(content: bytes | None, digest: str) -> bool:
-    return content is not None and hashlib.sha256(content).hexdigest() == digest
+def _unfinished(header: Mapping[str, Any], table: pa.Table) -> int | None:
+    """Episodes without a result; None where the list of the run, which says whether they can have one, is not here."""
+    identity = header["identity"]
+    try:
+        scenarios = scenario_list(header).scenarios[: table.num_rows]
+    except RemaError:
+        return None
+    return unfinished(Plan(scenarios, identity["task"], identity["protocol"]), table)
 
 
-def _header_findings(header: dict[str, Any], payload: bytes) -> Iterator[Finding]:
-    if not seal_is_whole(header):
-        yield Finding(RUN_FILE, "seal", "is not the seal that was made")
-        return
-    for name in changed_parts(header):
-        yield Finding(RUN_FILE, name, "is not what was sealed")
+def _seal_findings(
+    header: dict[str, Any], payload: bytes, files: Mapping[str, bytes | None], known: bool
+) -> Iterator[Finding]:
+    """What the seal shows; one that is over all files at once is silent where it is ``known`` which of them changed."""
+    if isinstance(header["seal"], dict):
+        for name, part in old_seal_problems(header, files):
+            yield Finding(name or RUN_FILE, part, "is not what was sealed")
+    elif not known and not _is_sealed(header, files):
+        yield Finding(f"{' or '.join(sealed_names(header))} or {RUN_FILE}", "", "changed since the run was sealed")
     if payload != encode_header(header).encode():
         yield Finding(RUN_FILE, "", "is not laid out as it was written")
 
 
 def _contradictions(
-    header: dict[str, Any], summary: dict[str, Any], counts: Counts | None, table: pa.Table | None
+    header: dict[str, Any],
+    summary: dict[str, Any],
+    counts: Counts | None,
+    table: pa.Table | None,
+    left: int | None,
 ) -> Iterator[Finding]:
     """Fields of ``summary.json`` that do not follow from the rows, or from ``run.json``."""
-    identity, policy = header["identity"], header["policy"]
-    expected = {
-        **{name: identity[name] for name in _IDENTITY},
-        "policy": policy.get("name"),
-        "privileged": policy.get("privileged"),
-    }
-    if "seal" in header:
-        expected["merkle_root"] = header["seal"]["merkle_root"]
-    sources = dict.fromkeys(expected, RUN_FILE)
+    numbers: dict[str, Any] = {}
     if counts is not None and table is not None:
-        numbers = summary_numbers(counts, table)
-        if header["format"] == 1 and counts.eligible:
-            numbers["ci95"] = list(wilson(counts.successes, counts.eligible))
-        expected |= numbers
-        sources |= dict.fromkeys(numbers, results_name(header))
+        numbers = summary_numbers(counts, table) | ({} if left is None else {"unfinished": left})
+    if "end" in header and counts is not None and table is not None:
+        given = summary.get("unfinished", 0) if left is None else left
+        expected = json.loads(json.dumps(summarise(header, counts, table, given)))
+        unknown = sorted(summary.keys() - expected.keys())
+        yield from (Finding(SUMMARY_FILE, name, "is not a field of a summary") for name in unknown)
+    else:
+        identity, policy = header["identity"], header["policy"]
+        expected = {name: identity[name] for name in _IDENTITY} | numbers
+        expected |= {"policy": policy.get("name"), "privileged": policy.get("privileged")}
+        if header["format"] == 1 and counts is not None and counts.eligible:
+            expected["ci95"] = list(wilson(counts.successes, counts.eligible))
     for name, value in expected.items():
         if not same_numbers(summary.get(name), value):
-            detail = f"says {shortened(summary.get(name))}, {sources[name]} gives {shortened(value)}"
+            source = results_name(header) if name in numbers else RUN_FILE
+            detail = f"says {shortened(summary.get(name))}, {source} gives {shortened(value)}"
             yield Finding(SUMMARY_FILE, name, detail)
 
 
@@ -166,63 +177,40 @@ def shortened(value: Any) -> str:
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
-def _row_findings(
-    header: dict[str, Any], table: pa.Table | None, stored: bytes | None, changed: set[str]
-) -> Iterator[Finding]:
-    """Rows and leaves that are not those under the root; ``table`` as it is stored."""
-    root, count, results = header["seal"]["merkle_root"], header["episodes"], results_name(header)
-    leaves = _split(stored) if stored is not None else []
-    rows = row_leaves(table) if table is not None else None
-    if LEAVES_FILE in changed and stored is not None:
-        places = _differing(rows, leaves) if rows is not None and merkle_root(rows).hex() == root else []
-        yield from _changed(LEAVES_FILE, table, places, "is not the hash of this row")
-    if rows is None or table is None or len(rows) != count:
-        return
-    if merkle_root(rows).hex() != root:
-        known = merkle_root(leaves).hex() == root
-        yield from _changed(results, table, _differing(rows, leaves) if known else [], "is not what was sealed")
-    elif results in changed:
-        yield Finding(results, "", "has other bytes than were sealed, though all rows are the same")
-
-
-def _split(stored: bytes) -> list[bytes]:
-    return [stored[start : start + HASH_BYTES] for start in range(0, len(stored), HASH_BYTES)]
-
-
-def _differing(some: Sequence[bytes], others: Sequence[bytes]) -> list[int]:
-    common = [n for n, (one, other) in enumerate(zip(some, others, strict=False)) if one != other]
-    return common + list(range(min(len(some), len(others)), max(len(some), len(others))))
-
-
-def _changed(file: str, table: pa.Table | None, rows: Iterable[int], detail: str) -> Iterator[Finding]:
-    """One finding a row, or one about the file where no row can be blamed."""
-    named = [Finding(file, row_name(table, row), detail) for row in rows]
-    yield from named or [Finding(file, "", "is not what was sealed")]
-
-
 def _actions(
-    header: dict[str, Any], table: pa.Table | None, payload: bytes | None, changed: set[str]
+    header: dict[str, Any],
+    files: Mapping[str, bytes | None],
+    table: pa.Table | None,
+    shown: npt.NDArray[np.uint16] | None,
 ) -> tuple[npt.NDArray[np.uint16] | None, list[Finding]]:
-    steps, results = header["seal"]["steps"], results_name(header)
-    shown = actions_of(table, steps) if table is not None and table.num_rows == header["episodes"] else None
+    """The actions as they were sealed, and where log and table differ, which of them is to blame."""
+    identity, results = header["identity"], results_name(header)
+    steps, payload = acting_steps(identity["task"], identity["protocol"]), files[ACTIONS_FILE]
     if payload is None:
         return shown, []
     log = decode_actions(payload, header["episodes"], len(steps))
     if log is None:
         return shown, [Finding(ACTIONS_FILE, "", f"has {len(payload)} bytes, not two for every action")]
+    if shown is None or np.array_equal(log, shown):
+        return log, []
+    pair = [(results, shown), (ACTIONS_FILE, log)]
+    if _is_sealed(header, {**files, ACTIONS_FILE: encode_actions(shown)}):
+        pair.reverse()  # the table is as it was sealed
+    (file, blamed), (beside, witness) = pair
     found = []
-    if shown is not None:
-        pair = [(ACTIONS_FILE, log), (results, shown)]
-        if changed & {ACTIONS_FILE, results} == {results}:
-            pair.reverse()  # the other one is as it was sealed: this one is to blame
-        (file, blamed), (beside, witness) = pair
-        for row, column in np.argwhere(log != shown).tolist():
-            said, other = _named(int(blamed[row, column])), _named(int(witness[row, column]))
-            where = f"{row_name(table, row)}, step {steps[column]}"
-            found.append(Finding(file, where, f"says {said}, {beside} says {other}"))
-    if ACTIONS_FILE in changed:
-        return shown, found or [Finding(ACTIONS_FILE, "", "is not what was sealed")]
-    return log, found
+    for row, column in np.argwhere(log != shown).tolist():
+        said, other = _named(int(blamed[row, column])), _named(int(witness[row, column]))
+        where = f"{row_name(table, row)}, step {steps[column]}"
+        found.append(Finding(file, where, f"says {said}, {beside} says {other}"))
+    return witness, found
+
+
+def _is_sealed(header: dict[str, Any], files: Mapping[str, bytes | None]) -> bool:
+    """Whether the seal is over this table and this log."""
+    sealed = {name: content for name in sealed_names(header) if (content := files[name]) is not None}
+    if isinstance(header["seal"], dict):
+        return not any(name for name, _ in old_seal_problems(header, sealed))
+    return len(sealed) == len(sealed_names(header)) and seal_of(header, sealed) == header["seal"]
 
 
 def _named(action: int) -> str:

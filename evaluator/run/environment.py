@@ -17,7 +17,7 @@ from typing import Any
 
 from evaluator.sim.bullet import bullet_version
 
-__all__ = ["code_commit", "environment", "source_digest"]
+__all__ = ["code_commit", "environment", "processor_name", "source_digest"]
 
 _PACKAGES = ("rema", "numpy", "torch", "openvino", "pyarrow", "scipy")
 _OWN = ("rema_data", "evaluator", "baselines")
@@ -33,7 +33,7 @@ def environment() -> dict[str, Any]:
             "host": hashlib.sha256(platform.node().encode()).hexdigest()[:8],
             "system": platform.system(),
             "architecture": platform.machine(),
-            "processor": _processor(),
+            "processor": processor_name(),
             "cores": os.cpu_count(),
         },
         "versions": {"python": platform.python_version(), **_versions()},
@@ -52,7 +52,8 @@ def _versions() -> dict[str, str]:
     return found
 
 
-def _processor() -> str:
+def processor_name() -> str:
+    """The processor as the system names it."""
     if sys.platform == "linux":
         with suppress(OSError), open("/proc/cpuinfo", encoding="utf-8") as file:
             for line in file:

@@ -5,26 +5,16 @@ from __future__ import annotations
 import errno
 import json
 import secrets
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock, Timeout
-
 from evaluator.run.environment import environment
 from evaluator.run.header import RUN_FILE, RUN_FORMAT, encode_header, read_header
-from evaluator.run.seal import (
-    ACTIONS_FILE,
-    LEAVES_FILE,
-    OLD_RESULTS_FILE,
-    RESULTS_FILE,
-    SUMMARY_FILE,
-    changed_parts,
-    make_seal,
-)
-from evaluator.run.signature import SIGNATURE_FILE
+from evaluator.run.seal import ACTIONS_FILE, OLD_RESULTS_FILE, RESULTS_FILE, SUMMARY_FILE, seal_of
 from rema_data.errors import InputError, RunMismatchError
+from rema_data.locks import Busy, has_no_locks, lock
 from rema_data.storage import storage_errors, write_atomic
 
 __all__ = ["RunFolder", "being_written", "locked"]
@@ -32,9 +22,12 @@ __all__ = ["RunFolder", "being_written", "locked"]
 TIMINGS_FILE = "timings.parquet"
 _LOG_FILE = "policy.log"
 _LOCK_FILE = ".lock"
+_LOCAL = "choose a folder on a local disk with --output"
 _NOT_WRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS)
 _RESULTS = (RESULTS_FILE, OLD_RESULTS_FILE, SUMMARY_FILE)
-_FILES = (RUN_FILE, RESULTS_FILE, ACTIONS_FILE, LEAVES_FILE, TIMINGS_FILE, SUMMARY_FILE, _LOG_FILE, SIGNATURE_FILE)
+_FILES = (RUN_FILE, RESULTS_FILE, ACTIONS_FILE, TIMINGS_FILE, SUMMARY_FILE, _LOG_FILE)
+_OF_EARLIER_FORMATS = (OLD_RESULTS_FILE, "leaves.bin", "run.json.sig")
+"""What a run that is sealed again has no use for."""
 
 
 @contextmanager
@@ -43,20 +36,17 @@ def locked(folder: Path, hint: str, *, only_reading: bool = False) -> Iterator[N
 
     A reader (``only_reading``) of a folder that cannot be written continues without the lock.
     """
-    lock = FileLock(folder / _LOCK_FILE, timeout=0)
-    try:
-        with storage_errors(folder):
-            try:
-                lock.acquire()
-            except OSError as error:
-                if not (only_reading and error.errno in _NOT_WRITABLE):
-                    raise
-    except Timeout as error:
-        raise InputError(f"another process is writing in {folder}", hint=hint, path=str(folder)) from error
-    try:
+    with ExitStack() as stack:
+        try:
+            with storage_errors(folder):
+                try:
+                    stack.enter_context(lock(folder / _LOCK_FILE, hint=_LOCAL))
+                except OSError as error:
+                    if not only_reading or not (error.errno in _NOT_WRITABLE or has_no_locks(error.__cause__)):
+                        raise
+        except Busy as error:
+            raise InputError(f"another process is writing in {folder}", hint=hint, path=str(folder)) from error
         yield
-    finally:
-        lock.release()
 
 
 def being_written(folder: Path) -> bool:
@@ -64,9 +54,9 @@ def being_written(folder: Path) -> bool:
     if not (folder / _LOCK_FILE).exists():
         return False
     try:
-        with FileLock(folder / _LOCK_FILE, timeout=0):
+        with lock(folder / _LOCK_FILE):
             return False
-    except Timeout:
+    except Busy:
         return True
     except OSError:
         return False
@@ -80,6 +70,7 @@ class RunFolder:
         self.header = header
         self._begun = False
         self._episodes = int(header["episodes"])
+        self._sealed = self._content() if "seal" in header else None
 
     @property
     def records(self) -> Path:
@@ -174,20 +165,28 @@ class RunFolder:
 
     def save(self) -> None:
         """Write ``run.json`` atomically, without its seal where that is of another content."""
-        if changed_parts(self.header):
-            del self.header["seal"]
-        payload = encode_header(self.header)
-        signature = self.path / SIGNATURE_FILE
-        if signature.exists() and payload.encode() != (self.path / RUN_FILE).read_bytes():
-            signature.unlink()  # it was made over what is replaced now
-        self.write(RUN_FILE, payload)
+        if self._sealed is not None and self._content() != self._sealed:
+            self.header.pop("seal", None)
+            self.header.pop("end", None)
+            self._sealed = None
+        self.write(RUN_FILE, encode_header(self.header))
 
-    def seal(self, files: Mapping[str, bytes], *, root: bytes, steps: Sequence[int], unfinished: int) -> None:
-        """Put a seal over ``run.json`` and ``files``, which are written already; see ``make_seal``."""
-        self.header.update(format=RUN_FORMAT, episodes=self._episodes)
-        self.header["seal"] = make_seal(self.header, files, root=root, steps=steps, unfinished=unfinished)
+    def _content(self) -> str:
+        return encode_header({name: value for name, value in self.header.items() if name != "seal"})
+
+    def prepare_seal(self, end: Mapping[str, Any]) -> None:
+        """Note in ``run.json`` what the summary needs besides the rows; the seal follows."""
+        self._sealed = None
+        self.header.pop("seal", None)
+        self.header.update(format=RUN_FORMAT, episodes=self._episodes, end=dict(end))
+
+    def seal(self, files: Mapping[str, bytes]) -> None:
+        """Put a seal over ``run.json`` and ``files``, results and action log, which are written already."""
+        self.header["seal"] = seal_of(self.header, files)
+        self._sealed = self._content()
         self.save()
-        (self.path / OLD_RESULTS_FILE).unlink(missing_ok=True)  # of an earlier format: written under its new name
+        for name in _OF_EARLIER_FORMATS:
+            (self.path / name).unlink(missing_ok=True)
 
     @property
     def policy_log(self) -> Path:

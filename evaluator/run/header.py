@@ -14,6 +14,7 @@ from typing_extensions import TypedDict  # pydantic needs this one before Python
 from evaluator.policy.loading import NAME_LENGTH
 from evaluator.policy.named import policy_names
 from evaluator.protocol import PROTOCOLS
+from evaluator.run.audit import AuditNumbers
 from rema_data.errors import IntegrityError, MissingFileError
 from rema_data.schema import TASKS
 from rema_data.storage import storage_errors
@@ -23,6 +24,7 @@ __all__ = [
     "RUN_FILE",
     "RUN_FORMAT",
     "Protocol",
+    "Sha256",
     "Task",
     "check_format",
     "encode_header",
@@ -33,9 +35,9 @@ __all__ = [
 ]
 
 RUN_FILE = "run.json"
-RUN_FORMAT = 2
+RUN_FORMAT = 3
 """1: the table of a run is called episodes.parquet, and a rate of 0 or 1 has Wilson's interval. 2: results.parquet, and
-the interval that the tables show."""
+the interval that the tables show. 3: the seal is one sha256, and ``end`` has what ``summary.json`` had alone."""
 _RESTORE = "restore it from a copy, or evaluate the policy into another folder with --output"
 _VERSIONS = ("rema", "python", "numpy", "pybullet", "torch", "openvino")
 
@@ -60,6 +62,7 @@ def _policy_name(name: str) -> str:
 
 Task = Annotated[str, pydantic.AfterValidator(_task)]
 Protocol = Annotated[str, pydantic.AfterValidator(_protocol)]
+Sha256 = Annotated[str, pydantic.Field(pattern="^[0-9a-f]{64}$")]
 _CLOSED = pydantic.ConfigDict(extra="forbid", strict=True)
 _OPEN = pydantic.ConfigDict(extra="allow", strict=True)
 
@@ -81,6 +84,7 @@ class _Policy(TypedDict, total=False):
     file: str
     class_name: str
     privileged: bool
+    simulator: bool
 
 
 @pydantic.with_config(_OPEN)
@@ -96,7 +100,9 @@ class _Segment(TypedDict, total=False):
 
 
 @pydantic.with_config(_CLOSED)
-class _Seal(TypedDict):
+class _OldSeal(TypedDict):
+    """Of formats 1 and 2."""
+
     version: int
     merkle_root: str
     steps: list[int]
@@ -107,6 +113,16 @@ class _Seal(TypedDict):
 
 
 @pydantic.with_config(_CLOSED)
+class _End(TypedDict):
+    """What neither rows nor segments tell, noted when the run was sealed."""
+
+    policy_error_reasons: dict[str, pydantic.NonNegativeInt]
+    nondeterministic: pydantic.NonNegativeInt
+    audit: AuditNumbers | None
+    stopped_early: dict[str, Any] | None
+
+
+@pydantic.with_config(_CLOSED)
 class _Header(TypedDict):
     format: pydantic.PositiveInt
     identity: _Identity
@@ -114,7 +130,8 @@ class _Header(TypedDict):
     episodes: pydantic.NonNegativeInt
     salt: str
     segments: list[_Segment]
-    seal: NotRequired[_Seal]
+    end: NotRequired[_End]
+    seal: NotRequired[Sha256 | _OldSeal]
 
 
 def encode_header(header: dict[str, Any]) -> str:

@@ -9,11 +9,11 @@ from typing import Any, TypeVar
 from evaluator.engines import Job, JobBatch
 from evaluator.protocol import acting_steps
 from evaluator.run.records import Records
-from evaluator.scenarios import ScenarioList, load_list, versions
+from evaluator.scenarios import ScenarioList, installed_list, load_list, versions
 from rema_data.errors import RunMismatchError
 from rema_data.schema import Scenario, Situation, StepOutcome, pinch_step, tool_steps
 
-__all__ = ["Plan", "arrange", "job_batches", "scenario_list"]
+__all__ = ["Plan", "arrange", "find_list", "job_batches", "scenario_list"]
 
 BATCH_JOBS = 25
 _ORDER_KEY = b"rema simulation order v1"
@@ -57,17 +57,24 @@ class Plan:
 def scenario_list(header: Mapping[str, Any]) -> ScenarioList:
     """The list on which a run was played, of whichever version; a RunMismatchError if it is not here."""
     identity = header["identity"]
-    recorded, here = identity["scenarios_hash"], []
+    return find_list(identity["task"], identity["split"], identity["scenarios_hash"], header["episodes"])
+
+
+def find_list(task: str, split: str, sha256: str, episodes: int) -> ScenarioList:
+    """The list with this hash, of whichever version; a RunMismatchError where it is not here, or is shorter."""
+    here = []
     for version in versions():
-        scenarios = load_list(identity["task"], identity["split"], version)
-        if scenarios.sha256 == recorded and header["episodes"] <= len(scenarios.scenarios):
-            return scenarios
-        here.append(scenarios.sha256)
+        listed = installed_list(task, split, version)
+        if listed is None:
+            continue
+        if listed[0] == sha256 and episodes <= listed[1]:
+            return load_list(task, split, version)
+        here.append(listed[0])
     raise RunMismatchError(
-        f"the run was played on another scenario list than the ones here: {recorded}, here {', '.join(here)}",
+        f"the run was played on another scenario list than the ones here: {sha256}, here {', '.join(here) or 'none'}",
         hint="use the version of rema that made it (`versions` in run.json)",
         field="scenarios_hash",
-        recorded=recorded,
+        recorded=sha256,
         here=here,
     )
 

@@ -1,4 +1,4 @@
-"""From a path to a ``Run``: checks what a run folder or a submission file must be."""
+"""From a path to a ``Run``: checks what a run folder or an entry must be."""
 
 from __future__ import annotations
 
@@ -6,24 +6,23 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, NoReturn
 
+from evaluator.run.audit import Audit
 from evaluator.run.check import RunFiles, read_files
 from evaluator.run.entry import read_entry
 from evaluator.run.folder import being_written
 from evaluator.run.header import RUN_FILE, environment_of, isolation_level, read_header, resume_command
 from evaluator.run.run import AGAIN, Provenance, Run
-from evaluator.run.seal import SUMMARY_FILE, results_name, sealed_files
-from evaluator.run.summary import Audit
+from evaluator.run.seal import SUMMARY_FILE, results_name, sealed_names
 from rema_data.errors import MissingFileError
 
 __all__ = ["read_run"]
 
 
 def read_run(path: Path, *, with_findings: bool = False) -> Run:
-    """A run, from its folder or from its submission file; see ``evaluator.read_run``.
+    """A run, from its folder or from its entry; see ``evaluator.read_run``.
 
-    ``with_findings`` is for replays and submissions: the folder must be sealed, every row is compared with its seal,
-    and a run that changed is returned with its ``findings``. Without it, such a run is an IntegrityError that names
-    files, fields and rows.
+    ``with_findings`` is for replays and submissions: the folder must be sealed, and a run that changed is returned with
+    its ``findings``. Without it, such a run is an IntegrityError that names files, fields and rows.
     """
     if path.is_file():
         entry = read_entry(path)
@@ -40,10 +39,10 @@ def read_run(path: Path, *, with_findings: bool = False) -> Run:
         if not (path / SUMMARY_FILE).is_file():
             hint = f"finish it: {resume_command(header, path)}"
             raise MissingFileError(f"{path} holds no finished run: it has no {SUMMARY_FILE}", hint=hint, path=str(path))
-        for name in sorted(sealed_files(header)) if "seal" in header else [results_name(header)]:
+        for name in sealed_names(header) if "seal" in header else [results_name(header)]:
             if not (path / name).is_file():
                 raise MissingFileError(f"{path / name} does not exist", hint=AGAIN, path=str(path / name))
-    run = _run(path, read_files(path, header, payload, every_row=with_findings))
+    run = _run(path, read_files(path, header, payload))
     if run.findings and not with_findings:
         raise run.refusal()
     return run
@@ -64,7 +63,7 @@ def _refuse_unsealed(folder: Path, header: dict[str, Any]) -> NoReturn:
 def _run(folder: Path, files: RunFiles) -> Run:
     """What the files say; their findings are kept."""
     header, summary = files.header, files.summary or {}
-    identity, policy, seal = header["identity"], header["policy"], header.get("seal", {})
+    identity, policy, seal = header["identity"], header["policy"], header.get("seal", "")
     audit = summary.get("audit")
     return Run(
         source=folder,
@@ -76,12 +75,11 @@ def _run(folder: Path, files: RunFiles) -> Run:
         provenance=Provenance(
             **{name: identity[name] for name in ("policy_digest", "protocol_hash", "scenarios_hash", "fingerprint")},
             environment=environment_of(header),
-            merkle_root=seal.get("merkle_root", ""),
-            seal=seal.get("sha256", ""),
+            seal=seal["sha256"] if isinstance(seal, dict) else seal,
         ),
         audit=None if audit is None else Audit(*(audit[field.name] for field in fields(Audit))),
         stopped_early=bool(summary.get("stopped_early")),
-        unfinished=summary.get("unfinished", 0),
+        unfinished=summary.get("unfinished", 0) if files.unfinished is None else files.unfinished,
         nondeterministic=summary.get("nondeterministic", 0),
         isolation=isolation_level(header) or "",
         findings=files.findings,

@@ -1,7 +1,8 @@
-"""One run, from its folder or its submission file: what tables, comparisons, pages and replays read."""
+"""One run, from its folder or its entry: what tables, comparisons, pages and replays read."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -9,23 +10,24 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from evaluator.policy.named import PRIVILEGED_KINDS, kind_of
 from evaluator.protocol import acting_steps
+from evaluator.run.actions import Actions
+from evaluator.run.audit import Audit
 from evaluator.run.check import Finding, RunFiles
 from evaluator.run.counts import Counts
+from evaluator.run.derived import Derived, Outcomes
 from evaluator.run.folder import TIMINGS_FILE
 from evaluator.run.records import ANSWERS, read_journal
 from evaluator.run.seal import results_name
-from evaluator.run.summary import Audit
 from evaluator.run.tables import TIMINGS_SCHEMA, first_line
 from evaluator.scenarios.strata import Targets
 from rema_data.bounded import parquet_table
 from rema_data.errors import InputError, IntegrityError, MissingFileError
 
-__all__ = ["AGAIN", "Outcomes", "Provenance", "Row", "Run"]
+__all__ = ["AGAIN", "Provenance", "Row", "Run"]
 
 AGAIN = "run the same `rema evaluate` again: it writes the tables from its records"
 _FINDINGS_NAMED = 3
@@ -44,23 +46,18 @@ class Provenance:
     fingerprint: Mapping[str, str]  # of the simulator; where it differs, two runs may differ because of it
     # versions, commit, machine and engine, as plain values, for people
     environment: Mapping[str, Any] = field(default_factory=dict)
-    merkle_root: str = ""  # this and ``seal`` are of the run folder; empty where it has no seal
-    seal: str = ""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Outcomes:
-    """Scenario by scenario, in the order of the list."""
-
-    eligible: npt.NDArray[np.bool_]  # (N,), measured
-    success: npt.NDArray[np.bool_]  # (N,), False where it was not measured
+    seal: str = ""  # of the run folder; empty where it has none
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Run:
-    """One policy on one scenario list. ``evaluator.read_run`` makes it."""
+    """One policy on one scenario list. ``evaluator.read_run`` makes it.
 
-    source: Path  # run folder or submission file
+    An entry of format 2 holds actions and no result: it has counts and outcomes once they were derived from these
+    (``evaluator.leaderboard.verification``).
+    """
+
+    source: Path  # run folder or entry
     policy: str
     privileged: bool  # the policy saw the ground truth
     task: str
@@ -73,13 +70,20 @@ class Run:
     nondeterministic: int = 0  # steps that had two different outcomes
     isolation: str = ""  # lowest level of the policy's sandbox; empty where it was not recorded
     link: str = ""  # where to read about the policy; empty for run folders
+    kind_of_policy: str = ""  # what an entry says its policy is; empty for run folders and entries of format 1
+    digest: str = ""  # sha256 of an entry
+    # how it is known that the actions give these outcomes: ``here`` (simulated on this machine) or ``record`` (one that
+    # comes with rema); empty where nobody knows
+    verified: str = ""
+    doubt: str = ""  # why it is not, where its actions were simulated
     findings: tuple[Finding, ...] = ()  # what changed since the seal or contradicts; empty unless the reader asked
-    files: RunFiles | None = None  # content of the run folder; None for a submission
-    packed: tuple[Counts, Outcomes] | None = None  # what a submission holds in place of a table; None for a folder
+    files: RunFiles | None = None  # content of the run folder; None for an entry
+    recorded: Actions | None = None  # the action log of an entry of format 2
+    packed: tuple[Counts, Outcomes] | None = None  # of an entry, in place of a table; None for a folder
 
     @property
     def kind(self) -> Literal["run", "entry"]:
-        """What it was read from: a run folder, or a submission file."""
+        """What it was read from: a run folder, or an entry."""
         return "entry" if self.files is None else "run"
 
     @property
@@ -92,8 +96,32 @@ class Run:
     @property
     def tag(self) -> str:
         """The kind of an installed policy, or ``submitted``; always ``privileged`` if it saw the ground truth."""
-        kind = kind_of(self.policy)
+        kind = self.kind_of_policy or kind_of(self.policy)
         return "privileged" if self.privileged or kind in PRIVILEGED_KINDS else kind or "submitted"
+
+    @property
+    def honest(self) -> bool:
+        """Whether the policy had nothing but the observations: only then it has a rank."""
+        return self.tag not in ("privileged", "simulator")
+
+    @property
+    def actions(self) -> Actions:
+        """The action log, uint16 (episodes, steps); an InputError for an entry of format 1, which has none."""
+        if self.recorded is not None:
+            return self.recorded
+        return self._read(self.folder.actions)
+
+    @property
+    def has_actions(self) -> bool:
+        """Whether there is an action log, from which outcomes can be derived."""
+        return self.recorded is not None or (self.files is not None and self.files.actions is not None)
+
+    def derived(self, found: Derived, verified: str) -> Run:
+        """The entry with what its actions give."""
+        provenance = dataclasses.replace(self.provenance, fingerprint=found.fingerprint)
+        return dataclasses.replace(
+            self, provenance=provenance, verified=verified, packed=(found.counts, found.outcomes)
+        )
 
     @property
     def comparable(self) -> dict[str, str]:
@@ -121,6 +149,11 @@ class Run:
         """
         return self._read(self.folder.counts) if self.packed is None else self.packed[0]
 
+    @property
+    def has_counts(self) -> bool:
+        """Whether there are counts: not for an entry of format 2 until they were derived."""
+        return self.packed is not None or self.files is not None
+
     @cached_property
     def outcomes(self) -> Outcomes:
         """Which scenario was measured, and solved."""
@@ -131,7 +164,7 @@ class Run:
 
     @property
     def folder(self) -> RunFiles:
-        """The files of the run folder; an InputError for a submission, so with the properties below."""
+        """The files of the run folder; an InputError for an entry, so with the properties below."""
         if self.files is None:
             raise self.no_folder()
         return self.files
@@ -217,6 +250,6 @@ class Run:
         )
 
     def no_folder(self) -> InputError:
-        """The error of a submission file where a run folder is needed."""
-        hint = "give the folder of the run that it was made from"
-        return InputError(f"{self.source} is a submission file", hint=hint, path=str(self.source))
+        """The error of an entry where a run folder is needed, or derived results."""
+        hint = "give the folder of the run that it was made from, or derive its results: rema leaderboard --verify"
+        return InputError(f"{self.source} is an entry: it holds no table", hint=hint, path=str(self.source))

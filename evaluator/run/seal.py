@@ -1,41 +1,39 @@
-"""The seal of a run: digests in ``run.json`` of everything that a finished run says, ``run.json`` itself included.
+"""The seal of a run: one sha256 in ``run.json``, over its results table, its action log and the rest of ``run.json``.
 
-A seal shows that nothing changed since it was made, not who made it: who can write in the folder can seal it again. A
-signature over ``run.json`` shows who signed it, and a replay whether it is true.
+A seal shows that nothing changed since it was made, not who made it: who can write in the folder can seal it again.
+Only simulating the recorded actions again shows that a run is true. ``summary.json`` follows from what is sealed, so
+every reader compares it.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Iterator, Mapping
 from typing import Any
-
-from evaluator.run.rows import canonical
 
 __all__ = [
     "ACTIONS_FILE",
-    "LEAVES_FILE",
     "OLD_RESULTS_FILE",
     "RESULTS_FILE",
     "SUMMARY_FILE",
-    "changed_parts",
-    "make_seal",
+    "canonical",
+    "old_seal_problems",
     "results_name",
-    "seal_is_whole",
-    "sealed_files",
+    "seal_of",
+    "sealed_names",
 ]
 
 RESULTS_FILE = "results.parquet"
 OLD_RESULTS_FILE = "episodes.parquet"
 """Name of the same table in runs of format 1."""
 ACTIONS_FILE = "actions.bin"
-LEAVES_FILE = "leaves.bin"
-"""Leaf hashes of the rows, 32 bytes each: a changed row is named by them, and one row is proved without the table."""
 SUMMARY_FILE = "summary.json"
 
-_VERSION = 1
-_FILES = {ACTIONS_FILE, LEAVES_FILE, SUMMARY_FILE}
-"""The sealed files besides the results table."""
+
+def canonical(value: Any) -> bytes:
+    """JSON with sorted names and no spaces, ASCII: the same for the same content."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":")).encode("ascii")
 
 
 def results_name(header: Mapping[str, Any]) -> str:
@@ -43,50 +41,38 @@ def results_name(header: Mapping[str, Any]) -> str:
     return OLD_RESULTS_FILE if header["format"] == 1 else RESULTS_FILE
 
 
-def sealed_files(header: Mapping[str, Any]) -> set[str]:
-    """Names of the files that a seal is over."""
-    return {results_name(header), *_FILES}
+def sealed_names(header: Mapping[str, Any]) -> tuple[str, str]:
+    """Names of the files that a seal is over, besides ``run.json``."""
+    return results_name(header), ACTIONS_FILE
 
 
-def make_seal(
-    header: dict[str, Any], files: Mapping[str, bytes], *, root: bytes, steps: Sequence[int], unfinished: int
-) -> dict[str, Any]:
-    """The seal of a run, ready for JSON; a seal that ``header`` has already is left out.
+def seal_of(header: Mapping[str, Any], files: Mapping[str, bytes]) -> str:
+    """The seal of a run: sha256, hexadecimal.
 
-    ``files`` is the content of the four sealed files by name, ``root`` that of the tree over the rows, and ``steps``
-    are the columns of ``actions.bin``.
+    ``header`` is the content of ``run.json``, in which a seal is left out; ``files`` has results and action log.
     """
-    seal = {
-        "version": _VERSION,
-        "merkle_root": root.hex(),
-        "steps": list(steps),
-        "unfinished": unfinished,
-        "files": {name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
-        "parts": _parts(header),
-    }
-    return {**seal, "sha256": _digest(seal)}
+    total = hashlib.sha256(canonical(_unsealed(header)))
+    for name in sealed_names(header):
+        total.update(hashlib.sha256(files[name]).digest())
+    return total.hexdigest()
 
 
-def changed_parts(header: dict[str, Any]) -> list[str]:
-    """Names of the entries of ``run.json`` that are not those that its seal names; none where it has no seal."""
-    sealed: dict[str, str] = header.get("seal", {}).get("parts", {})
-    here = _parts(header)
-    return sorted(name for name in here | sealed if here.get(name) != sealed.get(name)) if sealed else []
-
-
-def seal_is_whole(header: Mapping[str, Any]) -> bool:
-    """Whether the seal in the content of a ``run.json`` has its own digest, and names the files of a run."""
-    seal = header["seal"]
+def old_seal_problems(header: Mapping[str, Any], files: Mapping[str, bytes | None]) -> Iterator[tuple[str, str]]:
+    """Files, or parts of ``run.json`` (with an empty file name), that are not as a seal of format 1 or 2 has them."""
+    seal: Mapping[str, Any] = header["seal"]
     body = {name: value for name, value in seal.items() if name != "sha256"}
-    return (
-        seal["version"] == _VERSION
-        and seal["files"].keys() == sealed_files(header)
-        and bool(seal["sha256"] == _digest(body))
-    )
+    if seal["sha256"] != _digest(body):
+        yield "", "seal"
+        return
+    here = {name: _digest(value) for name, value in _unsealed(header).items()}
+    yield from (("", name) for name in sorted(here | seal["parts"]) if here.get(name) != seal["parts"].get(name))
+    for name, content in files.items():
+        if content is not None and hashlib.sha256(content).hexdigest() != seal["files"].get(name):
+            yield name, ""
 
 
-def _parts(header: dict[str, Any]) -> dict[str, str]:
-    return {name: _digest(value) for name, value in header.items() if name != "seal"}
+def _unsealed(header: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in header.items() if name != "seal"}
 
 
 def _digest(value: Any) -> str:

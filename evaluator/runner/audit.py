@@ -4,6 +4,7 @@ The policy is asked again in a new process, in batches of other sizes and compan
 again in a new process, in another order. A policy that remembers earlier questions or answers by position shows as
 action flips, a world that is not a pure function as outcome flips.
 
+Which episodes are repeated depends on a digest of everything that was recorded before: nobody can know them earlier.
 The repeats are journals of their own, in ``records/audit``, so that an interrupted audit continues where it stopped.
 """
 
@@ -25,11 +26,11 @@ from evaluator.run.tables import verdict
 from evaluator.statistics import clopper_pearson
 from rema_data.schema import Situation, StepOutcome
 
-__all__ = ["Repeat", "ask_again", "audit_summary", "jobs_again", "repeats"]
+__all__ = ["Repeat", "ask_again", "audit_summary", "jobs_again", "repeats", "seed_of"]
 
 _BATCHES = (24, 40)
 """Observations in one question: the first of these that is not the run's own batch size."""
-_KEY = b"rema audit v1"
+_KEY = b"rema audit v2"
 _FLIPS_NAMED = 10
 
 
@@ -42,10 +43,21 @@ class Repeat:
     situation: Situation
 
 
-def repeats(plan: Plan, ledger: Records, share: float) -> list[Repeat]:
-    """Every step of a share of the measured episodes, drawn by a fixed hash, in the order of that hash."""
+def seed_of(*sealed: bytes) -> bytes:
+    """What a sample is drawn with: the same for the same run, and not known before it was played.
+
+    ``sealed`` is what was recorded before the sample is drawn, in an order that does not depend on how it was computed.
+    """
+    total = hashlib.sha256()
+    for content in sealed:
+        total.update(hashlib.sha256(content).digest())
+    return total.digest()
+
+
+def repeats(plan: Plan, ledger: Records, share: float, seed: bytes) -> list[Repeat]:
+    """Every step of a share of the measured episodes, drawn with a seed (``seed_of``), in the order of the draw."""
     measured = [s.index for s in plan.scenarios if verdict(s.index, plan.steps, ledger).success is not None]
-    ranked = sorted(measured, key=_rank)
+    ranked = sorted(measured, key=lambda index: _rank(index, seed))
     chosen = set(ranked[: max(AUDIT_LEAST, math.ceil(share * len(measured)))] if share else ())
     found = []
     for step in plan.steps:
@@ -54,8 +66,8 @@ def repeats(plan: Plan, ledger: Records, share: float) -> list[Repeat]:
     return found
 
 
-def _rank(index: int) -> bytes:
-    return hashlib.blake2b(index.to_bytes(8, "big"), digest_size=16, key=_KEY).digest()
+def _rank(index: int, seed: bytes) -> bytes:
+    return hashlib.blake2b(seed + index.to_bytes(8, "big"), digest_size=16, key=_KEY).digest()
 
 
 def ask_again(

@@ -19,6 +19,7 @@ import pyarrow as pa
 
 from rema_data import grid
 from rema_data.bounded import npz_arrays, zstd_bytes
+from rema_data.interrupts import check
 from rema_data.schema import Observation, Situation
 from rema_data.storage import write_atomic
 
@@ -97,6 +98,7 @@ class ObservationCache:
         depths: list[npt.NDArray[np.uint16]] = []
         masks: list[npt.NDArray[np.bool_]] = []
         for n, situation in enumerate(situations):
+            check()
             seen = self._observe(situation)
             scenes[n] = seen.scene
             if (

@@ -17,15 +17,16 @@ from evaluator.rollout.simulate import check_infrastructure, pending_jobs, simul
 from evaluator.run.folder import RunFolder
 from evaluator.run.plan import Plan
 from evaluator.run.records import Ledger
+from evaluator.run.seal import ACTIONS_FILE
 from evaluator.run.summary import PHASES
 from evaluator.run.tables import verdict
-from evaluator.runner.audit import ask_again, audit_summary, jobs_again, repeats
+from evaluator.runner.audit import ask_again, audit_summary, jobs_again, repeats, seed_of
 from evaluator.runner.config import EvaluationConfig, EvaluationResult
-from evaluator.runner.finalize import seal_run, write_tables
+from evaluator.runner.finalize import remember_run, seal_run, write_tables
 from evaluator.runner.observation_cache import ObservationCache
 from evaluator.runner.questions import batches, check_faults, infer_batches, observe_batches, shuffled
 from evaluator.scenarios import ScenarioList, load_list
-from rema_data.errors import InputError, PolicyFailureError, SubmissionError
+from rema_data.errors import InputError, PolicyFailureError, RunMismatchError, SubmissionError
 from rema_data.progress import Progress, Silent
 from rema_data.schema import Situation
 from rema_data.storage import rema_home
@@ -119,7 +120,7 @@ class _Run:
             tables = write_tables(self.folder, self.plan, self.scenarios, self.ledger)
             if failed is None and self.config.audit_share:
                 with self._timed("audit"):
-                    audit = self._audit()
+                    audit = self._audit(seed_of(tables.files[ACTIONS_FILE]))
         finally:
             self.ledger.close()
             self.seconds["total"] = time.perf_counter() - self.start
@@ -127,6 +128,8 @@ class _Run:
             self.folder.note_segment(seconds=rounded, finished=self._finished() - done)
         stopped_early = None if self.look is None else self.look(tables.results)
         summary = seal_run(self.folder, self.plan, self.ledger, tables, audit, stopped_early)
+        if failed is None:
+            remember_run(self.folder, self.plan, self.ledger, tables, self.backend)
         shutil.rmtree(self.own_cache, ignore_errors=True)
         if failed is not None:
             raise failed
@@ -207,15 +210,23 @@ class _Run:
         return self.backend.open_policy(config.policy, config.checkpoint, config.device, log, config.sandbox)
 
     def _note_policy(self, policy: PolicyProcess) -> None:
-        known = self.folder.header["policy"].get("privileged")
-        if known not in (None, policy.privileged):
-            raise SubmissionError(
-                f"policy {self.config.policy.name} has `privileged` {policy.privileged}, "
-                f"earlier in this run it had {known}",
-                hint="make `privileged` a constant of its class, and evaluate it into a new folder (--output)",
+        recorded = self.folder.header["identity"]["policy_digest"]
+        if getattr(policy, "digest", recorded) != recorded:  # of what runs
+            raise RunMismatchError(
+                f"policy {self.config.policy.name} is not the one of this run: its code or its weights changed",
+                hint="leave its folder and its weights alone while it is evaluated; to evaluate what is there now, "
+                "choose a new folder (--output)",
                 policy=self.config.policy.name,
             )
-        self.folder.set_policy(privileged=policy.privileged)
+        for tag in ("privileged", "simulator"):
+            found, known = getattr(policy, tag, False), self.folder.header["policy"].get(tag)
+            if known not in (None, found):
+                raise SubmissionError(
+                    f"policy {self.config.policy.name} has `{tag}` {found}, earlier in this run it had {known}",
+                    hint=f"make `{tag}` a constant of its class, and evaluate it into a new folder (--output)",
+                    policy=self.config.policy.name,
+                )
+            self.folder.set_policy(**{tag: found})
         isolation = getattr(policy, "isolation", None)
         if isolation is not None and str(isolation) != self._told:
             self._told = str(isolation)  # it is started more than once
@@ -223,10 +234,10 @@ class _Run:
         level = None if isolation is None else isolation.to_dict()
         self.folder.note_segment(isolation=level, device=self.config.device)
 
-    def _audit(self) -> dict[str, Any]:
+    def _audit(self, seed: bytes) -> dict[str, Any]:
         """Repeat what was not repeated yet, and compare."""
         config, backend = self.config, self.backend
-        wanted = repeats(self.plan, self.ledger, config.audit_share)
+        wanted = repeats(self.plan, self.ledger, config.audit_share, seed)
         with closing(Ledger(self.folder.repeats, self.folder.segment)) as again:
             unasked = sum((repeat.index, repeat.step) not in again.answers for repeat in wanted)
             jobs = jobs_again(wanted, self.ledger, again)

@@ -42,6 +42,8 @@ from rema_data.validation import validated
 __all__ = [
     "ScenarioList",
     "encode_list",
+    "installed_list",
+    "list_length",
     "load_list",
     "manifest_path",
     "scenario_id",
@@ -186,6 +188,25 @@ def versions() -> tuple[str, ...]:
     """The versions of the lists that are here, the one in force first."""
     here = {path.parent.name for path in manifest_path(VERSION).parent.parent.glob("*/manifest.json")}
     return (VERSION, *sorted(here - {VERSION}, reverse=True))
+
+
+def installed_list(task: str, split: str, version: str = VERSION) -> tuple[str, int] | None:
+    """sha256 and number of scenarios of a frozen list of this installation; None where it has none."""
+    path = manifest_path(version)
+    if not path.is_file():
+        return None
+
+    def named(content: Any) -> tuple[str, int] | None:
+        entry = content["lists"].get(f"{task}/{split}")
+        return None if entry is None else (str(entry["sha256"]), int(entry["count"]))
+
+    return read_manifest(path, "scenario manifest", named)
+
+
+def list_length(task: str, split: str, sha256: str) -> int | None:
+    """Number of scenarios of the list with this hash, of whichever version; None where it is not here."""
+    found = (installed_list(task, split, version) for version in versions())
+    return next((count for known, count in filter(None, found) if known == sha256), None)
 
 
 def load_list(task: str, split: str = "test", version: str | None = None) -> ScenarioList:

@@ -16,6 +16,7 @@ from rema_data.loader.cache import DecodedCache
 from rema_data.progress import Progress
 from rema_data.release.folder import ReleaseFolder, find_release
 from rema_data.release.manifest import BlockEntry, Manifest
+from rema_data.storage import absolute
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -42,7 +43,9 @@ class Release:
         progress: Progress | None = None,
     ) -> None:
         self.folder = folder
-        self._cache_option = cache
+        self._cache_option: Path | Literal["memory"] | None = None
+        if cache is not None:
+            self._cache_option = "memory" if cache == "memory" else absolute(cache)
         self._progress = progress
         self._tables: tuple[BlockKey, Any, Any] | None = None
 
@@ -77,10 +80,9 @@ class Release:
         IntegrityError, MissingFileError
             A file of the release is damaged or missing.
         """
-        if self._cache_option == "memory":
+        if isinstance(self._cache_option, str):
             return decode_to_memory(self.folder, self.blocks, self._progress)
-        folder = None if self._cache_option is None else Path(self._cache_option).expanduser()
-        return open_cache(self.folder, self.blocks, folder, self._progress)
+        return open_cache(self.folder, self.blocks, self._cache_option, self._progress)
 
     def steps(
         self,

@@ -14,6 +14,7 @@ a chunk that is lost reads as values that cannot occur, so that a hole is an err
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,10 +30,11 @@ from zarr.storage import LocalStore
 from rema_data.errors import IntegrityError, MissingFileError
 from rema_data.grid import EE_PIXELS, SCENE_PIXELS
 from rema_data.heights import HEIGHT_ERROR_M, HEIGHT_OFFSET_M, MISSING
+from rema_data.interrupts import check
 from rema_data.json_files import read_json
 from rema_data.repair import RepairHint, ask_verify
 from rema_data.schema import HEIGHT_STEP_M
-from rema_data.storage import storage_errors
+from rema_data.storage import not_written, storage_errors
 
 __all__ = ["ARRAYS", "MAPS", "ArrayFormat", "MapsReader", "MapsWriter"]
 
@@ -100,6 +102,7 @@ class _Buffered:
             config={"write_empty_chunks": True},
             attributes=_ATTRIBUTES[name],
         )
+        self._digest = hashlib.sha256()
         self._rows: list[npt.NDArray[Any]] = []
         self._count = 0
         self.written = 0
@@ -116,9 +119,23 @@ class _Buffered:
 
     def flush(self) -> None:
         if self._count:
-            self._array.append(np.concatenate(self._rows))
+            rows = np.concatenate(self._rows)
+            self._array.append(rows)
+            self._digest.update(rows.data)
             self.written += self._count
             self._rows, self._count = [], 0
+
+    def is_as_written(self) -> bool:
+        """Whether what can be read is what was appended."""
+        found = hashlib.sha256()
+        for start in range(0, self.written, self._form.shard_rows):
+            check()
+            try:
+                rows = np.asarray(self._array[start : start + self._form.shard_rows])
+            except Exception:  # zarr and its codecs each raise their own kinds
+                return False
+            found.update(np.ascontiguousarray(rows).data)
+        return found.digest() == self._digest.digest()
 
 
 class MapsWriter:
@@ -136,10 +153,13 @@ class MapsWriter:
             self._arrays[name].append(rows)
 
     def close(self) -> dict[str, int]:
-        """Write what is left; rows of every array."""
+        """Write what is left, and read all of it back; rows of every array."""
         with storage_errors(self._path):
-            for array in self._arrays.values():
+            for name, array in self._arrays.items():
                 array.flush()
+                check()
+                if not array.is_as_written():
+                    raise not_written(self._path / name)
         return {name: array.written for name, array in self._arrays.items()}
 
 

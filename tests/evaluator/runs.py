@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shutil
 import tempfile
@@ -14,19 +15,28 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
+import pytest
 
 from evaluator.engines import InfraError
+from evaluator.leaderboard.naming import installed_digest
+from evaluator.policy.named import policy_names
 from evaluator.protocol import acting_steps, protocol_hash
+from evaluator.rollout.backend import default_backend
+from evaluator.rollout.derive import world_identity
 from evaluator.run.actions import actions_of, encode_actions
-from evaluator.run.counts import count_rows, summary_numbers
+from evaluator.run.counts import count_rows, unfinished
+from evaluator.run.derived import derived_of, remember
+from evaluator.run.entry import encode
 from evaluator.run.header import RUN_FILE, RUN_FORMAT, encode_header
-from evaluator.run.merkle import merkle_root
+from evaluator.run.plan import Plan, scenario_list
+from evaluator.run.reading import read_run
 from evaluator.run.records import Answered, Records, Simulated
-from evaluator.run.rows import row_leaves
-from evaluator.run.seal import ACTIONS_FILE, LEAVES_FILE, RESULTS_FILE, SUMMARY_FILE, make_seal
+from evaluator.run.seal import ACTIONS_FILE, RESULTS_FILE, SUMMARY_FILE, seal_of
+from evaluator.run.summary import summarise
 from evaluator.run.tables import results_table, to_parquet
 from evaluator.scenarios import load_list
 from rema_data import grid
+from rema_data.errors import RunMismatchError
 from rema_data.schema import Failure, StepOutcome
 from tests.evaluator.fakes import write_fake_list
 
@@ -37,10 +47,10 @@ AUDIT: dict[str, Any] = {
     **{"episodes": 30, "actions": 30, "action_flips": 0, "action_flips_ci95": [0.0, 0.12]},
     **{"outcomes": 30, "outcome_flips": 0, "outcome_flips_ci95": [0.0, 0.12], "lost": 0, "flipped": []},
 }
-RUNTIME: dict[str, Any] = {
-    **{"policy_error_reasons": {}, "isolation": None, "seconds": {"total": 1.0}, "episodes_per_second": 1.0},
-    **{"engine": "process", "workers": 1, "segments": 1},
-}
+END: dict[str, Any] = {"policy_error_reasons": {}, "nondeterministic": 0, "audit": AUDIT, "stopped_early": None}
+"""What a whole run notes when it is sealed."""
+STOPPED: dict[str, Any] = {"against": "other", "verdict": "better"}
+"""What a quick look notes, shortened."""
 MANIFESTS = Path(__file__).resolve().parents[2] / "manifests"
 
 Bools = npt.NDArray[np.bool_]
@@ -53,6 +63,20 @@ def write_manifests(folder: Path, tasks: tuple[str, ...] = ("grasp", "grasp_push
         (folder / name).write_bytes(content)
     shutil.copytree(MANIFESTS / "published", folder / "published")
     (folder / "leaderboard").mkdir()
+
+
+def use_installation(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let this process use the manifests of ``write_manifests`` and a cache of its own, both below ``folder``."""
+    write_manifests(folder / "manifests")
+    monkeypatch.setenv("REMA_MANIFESTS", str(folder / "manifests"))
+    monkeypatch.setenv("REMA_HOME", str(folder / "home"))
+
+
+def write_entry(path: Path, folder: Path, **changes: Any) -> Path:
+    """Write the entry of a run as `rema submit` does, without its checks; ``changes`` are of fields of ``Run``."""
+    run = read_run(folder)
+    path.write_bytes(encode(dataclasses.replace(run, **{"kind_of_policy": run.tag, **changes})))
+    return path
 
 
 @lru_cache
@@ -83,6 +107,7 @@ def write_run(
     policy: str = "my_policy",
     digest: str = "",
     identity: dict[str, Any] | None = None,
+    verified: bool = True,
     **summary: Any,
 ) -> Path:
     """Write a run folder as `rema evaluate` leaves it.
@@ -100,46 +125,61 @@ def write_run(
     digest : str
         Of the policy; made from its name by default.
     identity : dict, optional
-        Changes of the identity in ``run.json`` and in the summary.
+        Changes of the identity in ``run.json``.
+    verified : bool
+        Whether this installation remembers that it simulated the run.
     **summary
-        Changes of the summary, sealed as if the evaluator had written them.
+        Changes of ``end`` in ``run.json``, of ``privileged`` and ``isolation``; or else of the summary.
     """
     steps = acting_steps(task, protocol)
     passed = [success] if isinstance(success, np.ndarray) else list(success)
     count = len(passed[0])
     scenarios = load_list(task, split)
     none = np.zeros(count, bool)
-    records = _records(steps, passed, none if lost is None else lost, none if unplayed is None else unplayed)
+    actions = np.random.default_rng(list((policy + digest).encode())).choice(
+        np.flatnonzero(_valid()), (count, len(steps))
+    )
+    records = _records(steps, passed, actions, none if lost is None else lost, none if unplayed is None else unplayed)
     table = results_table(scenarios, count, steps, records)
     marks = {
-        "policy_digest": digest or (policy.encode().hex() + "0" * 64)[:64],
+        "policy_digest": digest or _digest(policy),
         "protocol_hash": protocol_hash(task, protocol),
         "scenarios_hash": scenarios.sha256,
         "fingerprint": FINGERPRINT,
         **(identity or {}),
     }
-    privileged = bool(summary.get("privileged", False))
-    content = {
-        **{"task": task, "split": split, "policy": policy, "privileged": privileged, "protocol": protocol},
-        **summary_numbers(count_rows(table, steps), table),
-        **RUNTIME,
-        **{"unfinished": 0, "nondeterministic": 0, "audit": AUDIT, "merkle_root": merkle_root(row_leaves(table)).hex()},
-        **marks,
-        **summary,
-    }
+    privileged = bool(summary.pop("privileged", False))
     header = {
         "format": RUN_FORMAT,
         "identity": {"task": task, "split": split, "protocol": protocol, **marks},
         "policy": {"name": policy, "file": f"{policy}.py", "class_name": "Policy", "privileged": privileged},
         "episodes": count,
         "salt": "5",
-        "segments": [{"number": 1, "versions": {"rema": "0.1.0"}, "commit": None, "dirty": None, "engine": "process"}],
+        "segments": [
+            {
+                **{"number": 1, "versions": {"rema": "0.1.0"}, "commit": None, "dirty": None, "engine": "process"},
+                **{"workers": 1, "seconds": {"total": 1.0}, "finished": 1},
+            }
+        ],
+        "end": dict(END),
     }
-    if content["isolation"] is not None:
-        header["segments"][0]["isolation"] = {"level": content["isolation"]}
+    if (level := summary.pop("isolation", None)) is not None:
+        header["segments"][0]["isolation"] = {"level": level}
     folder.mkdir(parents=True)
-    _seal(folder, header, table, content)
+    _seal(folder, header, table, summary)
+    if verified:
+        write_verified(folder)
     return folder
+
+
+def write_verified(folder: Path) -> None:
+    """Let this installation remember that it simulated the actions of a run, with the outcomes that the run has."""
+    header, table = json.loads((folder / RUN_FILE).read_text()), pq.read_table(folder / RESULTS_FILE)
+    identity = header["identity"]
+    rules = {name: identity[name] for name in ("task", "split", "protocol", "protocol_hash", "scenarios_hash")}
+    steps = acting_steps(identity["task"], identity["protocol"])
+    found = derived_of(table, steps, identity["fingerprint"])
+    remember(world_identity(default_backend()), rules, actions_of(table, steps), found)
 
 
 def reseal(folder: Path, table: pa.Table | None = None, identity: dict[str, Any] | None = None, **summary: Any) -> Path:
@@ -149,43 +189,54 @@ def reseal(folder: Path, table: pa.Table | None = None, identity: dict[str, Any]
     ----------
     folder : Path
     table : pyarrow.Table, optional
-        New rows; the action log and the hash tree follow them.
+        New rows; the action log and the summary follow them.
     identity : dict, optional
         Changes of the identity in ``run.json``.
     **summary
-        Changes of the summary.
+        Changes of ``end`` in ``run.json``, or else of the summary.
     """
     header = json.loads((folder / RUN_FILE).read_text())
     header["identity"].update(identity or {})
     header.pop("seal", None)
-    rows = pq.read_table(folder / RESULTS_FILE) if table is None else table
-    content = {**json.loads((folder / SUMMARY_FILE).read_text()), **summary}
-    if table is not None:
-        content["merkle_root"] = merkle_root(row_leaves(rows)).hex()
-    _seal(folder, header, rows, content)
+    _seal(folder, header, pq.read_table(folder / RESULTS_FILE) if table is None else table, summary)
     return folder
 
 
-def _seal(folder: Path, header: dict[str, Any], table: pa.Table, summary: dict[str, Any]) -> None:
-    steps = acting_steps(header["identity"]["task"], header["identity"]["protocol"])
-    leaves = row_leaves(table)
-    files = {
-        RESULTS_FILE: to_parquet(table),
-        ACTIONS_FILE: encode_actions(actions_of(table, steps)),
-        LEAVES_FILE: b"".join(leaves),
-        SUMMARY_FILE: (json.dumps(summary, indent=2) + "\n").encode(),
-    }
-    unfinished = summary["unfinished"]
-    header["seal"] = make_seal(header, files, root=merkle_root(leaves), steps=steps, unfinished=unfinished)
-    for name, data in {**files, RUN_FILE: encode_header(header).encode()}.items():
+def _seal(folder: Path, header: dict[str, Any], table: pa.Table, changes: dict[str, Any]) -> None:
+    identity = header["identity"]
+    steps = acting_steps(identity["task"], identity["protocol"])
+    header["end"].update({name: changes.pop(name) for name in END.keys() & changes.keys()})
+    try:
+        left = unfinished(
+            Plan(scenario_list(header).scenarios[: table.num_rows], identity["task"], identity["protocol"]), table
+        )
+    except RunMismatchError:
+        left = 0
+    summary = {**summarise(header, count_rows(table, steps), table, left), **changes}
+    files = {RESULTS_FILE: to_parquet(table), ACTIONS_FILE: encode_actions(actions_of(table, steps))}
+    header["seal"] = seal_of(header, files)
+    texts = {SUMMARY_FILE: json.dumps(summary, indent=2) + "\n", RUN_FILE: encode_header(header)}
+    for name, data in {**files, **{name: text.encode() for name, text in texts.items()}}.items():
         (folder / name).write_bytes(data)
 
 
-def _records(steps: Sequence[int], passed: Sequence[Bools], lost: Bools, unplayed: Bools) -> Records:
-    """An episode that fails a step does not play the next one; every action is the same valid one."""
-    records, action = Records(), int(np.flatnonzero(_valid())[0])
+def _digest(policy: str) -> str:
+    if policy in policy_names():
+        return installed_digest(policy)
+    return (policy.encode().hex() + "0" * 64)[:64]
+
+
+def _records(
+    steps: Sequence[int],
+    passed: Sequence[Bools],
+    actions: npt.NDArray[np.int64],
+    lost: Bools,
+    unplayed: Bools,
+) -> Records:
+    """An episode that fails a step does not play the next one."""
+    records = Records()
     for index in np.flatnonzero(~unplayed).tolist():
-        for step, success in zip(steps, passed, strict=True):
+        for step, success, action in zip(steps, passed, actions[index].tolist(), strict=True):
             failure = None if success[index] else Failure.MISSED
             outcome: StepOutcome | InfraError = StepOutcome(
                 bool(success[index]),

@@ -11,15 +11,14 @@ from click.testing import CliRunner, Result
 
 from evaluator.cli.main import cli
 from evaluator.cli.preview import preview
-from tests.evaluator.runs import EPISODES, solved, write_manifests, write_run
+from tests.evaluator.runs import EPISODES, solved, use_installation, write_run
 
 A, B = solved(0.6, 1), solved(0.5, 2)
 
 
 @pytest.fixture
 def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
-    write_manifests(tmp_path / "manifests")
-    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
+    use_installation(tmp_path, monkeypatch)
     monkeypatch.setenv("COLUMNS", "100")
     return write_run(tmp_path / "a", A), write_run(tmp_path / "b", B, policy="other")
 

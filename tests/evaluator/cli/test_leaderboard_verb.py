@@ -10,13 +10,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
 from evaluator.cli.main import cli
-from evaluator.leaderboard.submission import make_entry
-from evaluator.run.entry import encode
-from tests.evaluator.runs import EPISODES, reseal, solved, write_manifests, write_run
+from tests.evaluator.runs import EPISODES, reseal, solved, use_installation, write_entry, write_run
 
 Write = Callable[..., Path]
 
@@ -24,8 +23,7 @@ Write = Callable[..., Path]
 @pytest.fixture
 def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Write:
     """``write(name, success, ...)`` writes ``runs/name`` below the working folder."""
-    write_manifests(tmp_path / "manifests")
-    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
+    use_installation(tmp_path, monkeypatch)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "140")
 
@@ -76,13 +74,30 @@ def test_runs_are_found_below_runs(write: Write) -> None:
 
 def test_entries_that_come_with_the_installation_are_shown(write: Write, tmp_path: Path) -> None:
     entry = tmp_path / "manifests" / "leaderboard" / "theirs.json"
-    entry.write_bytes(encode(make_entry(write("theirs", solved(0.5, 1)), "them")))
+    write_entry(entry, write("theirs", solved(0.5, 1)), policy="them")
     assert "them" in board("--no-published").stdout
     shown = board("--no-published", "--no-entries").stdout
     assert "theirs" in shown and "them " not in shown
     entry.write_text(entry.read_text().replace("them", "thee"))
     result = board()
     assert result.exit_code == 6 and "theirs.json is refused" in result.stderr
+
+
+def test_what_is_not_verified_stands_apart_until_it_is_simulated(write: Write, tmp_path: Path) -> None:
+    """A run that claims successes, of another simulator: --verify simulates its actions in the world that is here."""
+    honest, claimed = write("honest", solved(0.5, 1)), write("claimed", np.ones(EPISODES, bool), verified=False)
+    shown = board(honest, claimed, "--no-published").stdout
+    assert "grasp, conditional: not verified" in shown and "rema leaderboard --verify" in shown
+    result = board(honest, claimed, "--no-published", "--verify")
+    assert result.exit_code == 0 and "outcomes are others in the simulator here" in " ".join(result.stdout.split())
+    assert "verify:" in result.stderr and "grasp, conditional: not verified" in result.stdout
+
+
+def test_a_record_is_written_for_entries_of_the_installation_alone(write: Write, tmp_path: Path) -> None:
+    assert "nothing to record" in board("--record").stderr
+    entry = write_entry(tmp_path / "mine.json", write("mine", solved(0.5, 1)))
+    result = board(entry, "--record")
+    assert result.exit_code == 2 and "copy it there first" in result.stderr
 
 
 @pytest.mark.parametrize("form", ["md", "html", "tex", "csv", "json"])
@@ -114,7 +129,7 @@ def test_bad_runs(write: Write, tmp_path: Path) -> None:
     for content in ("{", "[]", "{}", '{"task": "grasp"}'):
         (broken / "summary.json").write_text(content)
         result = board(broken)
-        assert result.exit_code == 6 and "summary.json is not what was sealed" in result.stderr
+        assert result.exit_code == 6 and "broken is refused: summary.json" in result.stderr
         header = json.loads((broken / "run.json").read_text())
         unsealed = tmp_path / "runs" / "unsealed"
         shutil.copytree(broken, unsealed)

@@ -51,8 +51,7 @@ VERB_CASES: dict[str, tuple[str, tuple[str, ...]]] = {
         ("run folder: {new} (`rema replay` checks it)", "warning: {here}/cache is full", "20 actions re-run: "),
     ),
     "merge": ("{here}/shard-1 {here}/shard-2 --output {new}", ("run folder: {new} (",)),
-    "replay": ("{here}/fake --engine inline --fraction 0.1", ("root  {root}",)),
-    "proof": ("{here}/fake --episode 3", ("row",)),
+    "replay": ("{here}/fake --engine inline --fraction 0.1", ("seal  {seal}",)),
     "leaderboard": (
         "{here}/a {here}/b {here}/unfinished",
         ("{here}/unfinished", f"my_policy_with_a_long_name  submitted     1  182/{EPISODES} "),
@@ -81,7 +80,6 @@ ERROR_CASES: dict[str, tuple[str, ...]] = {
     "evaluate": ("{gone}.py --task grasp", "random --task grasp --checkpoint {gone}"),
     "merge": ("{gone} --output {new}",),
     "replay": ("{gone}",),
-    "proof": ("{gone} --root 00",),
     "leaderboard": ("{gone}",),
     "report": ("{gone}", "{here}/fake --policy {gone}.py"),
     "compare": ("{gone} {here}/a",),
@@ -89,7 +87,7 @@ ERROR_CASES: dict[str, tuple[str, ...]] = {
     "scenarios": ("v9 --picker {gone}.py",),
 }
 """A missing file, or a name that does not exist, of every verb that takes one."""
-SAME_AGAIN = ("stats", "verify", "doctor", "leaderboard", "compare", "proof")
+SAME_AGAIN = ("stats", "verify", "doctor", "leaderboard", "compare")
 
 Rema = Callable[..., Result]
 
@@ -157,6 +155,8 @@ def _light_world(patch: pytest.MonkeyPatch, folder: Path) -> None:
         "evaluator.scenarios.generation.write_lists": lambda *_, **__: folder / "lists" / "v9" / "manifest.json",
         "evaluator.runner.run.default_backend": backend,
         "evaluator.replay.play.default_backend": fake_backend,
+        "evaluator.runner.merge.default_backend": fake_backend,
+        "evaluator.leaderboard.submission.replay": lambda *_, **__: SimpleNamespace(findings=(), verified=True),
         "evaluator.engines.child.process_pool": lambda _: nullcontext(),
     }.items():
         patch.setattr(target, value)
@@ -185,9 +185,8 @@ def rema(here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Rema:
 
 
 def _filled(text: str, here: Path, folder: Path) -> str:
-    root = json.loads((here / "fake" / "run.json").read_text())["seal"]["merkle_root"]
     names = {
-        "{root}": root,
+        "{seal}": json.loads((here / "fake" / "run.json").read_text())["seal"],
         "{here}": here,
         "{new}": folder / "new" / LONG,
         "{gone}": here / "there-is-no-file-of-this-name",

@@ -12,12 +12,21 @@ import numpy as np
 import pytest
 
 from evaluator.leaderboard import Board, Row, leaderboard, published_rows
+from evaluator.leaderboard.export import titled_groups
 from evaluator.leaderboard.ranking import LEVEL
-from evaluator.leaderboard.submission import make_entry
-from evaluator.run.entry import encode
 from evaluator.statistics import holm, midp_mcnemar, pair_table
 from rema_data.errors import IntegrityError, MissingFileError
-from tests.evaluator.runs import AUDIT, EPISODES, FINGERPRINT, Bools, solved, write_manifests, write_run
+from tests.evaluator.runs import (
+    AUDIT,
+    EPISODES,
+    FINGERPRINT,
+    STOPPED,
+    Bools,
+    solved,
+    use_installation,
+    write_entry,
+    write_run,
+)
 
 Write = Callable[..., Path]
 
@@ -25,8 +34,7 @@ Write = Callable[..., Path]
 @pytest.fixture
 def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Write:
     """``write(name, success, ...)`` writes a run of the policy ``name``, beside manifests with short lists."""
-    write_manifests(tmp_path / "manifests")
-    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
+    use_installation(tmp_path, monkeypatch)
 
     def run(name: str, success: Any, **changes: Any) -> Path:
         return write_run(tmp_path / "runs" / name, success, **{"policy": name, **changes})
@@ -98,10 +106,10 @@ def test_privileged_rows_have_letters_but_neither_take_nor_give_a_rank(write: Wr
     ("changes", "reason"),
     [
         ({"split": "val"}, "val split"),
-        ({"stopped_early": True}, "stopped early"),
+        ({"stopped_early": STOPPED}, "stopped early"),
         ({"identity": {"scenarios_hash": "0" * 64}}, "another scenario list"),
         ({"identity": {"protocol_hash": "0" * 64}}, "another protocol version"),
-        ({"unfinished": 5}, "5 episodes not finished"),
+        ({"unplayed": np.arange(EPISODES) < 5}, "5 episodes not finished"),
         ({"nondeterministic": 1}, "steps with two outcomes"),
         ({"audit": {**AUDIT, "outcome_flips": 2}}, "2 of 30 repeated outcomes flipped"),
         ({"audit": {**AUDIT, "action_flips": 9}}, "9 of 30 repeated answers differed"),
@@ -135,7 +143,7 @@ def test_an_edited_summary_of_a_sealed_run_is_refused(write: Write) -> None:
     board = leaderboard([folder, other], published=False)
     assert [row.policy for row in board.rows] == ["other"]
     (error,) = board.refused
-    assert error.exit_code == 6 and "summary.json is not what was sealed" in error.message
+    assert error.exit_code == 6 and 'summary.json isolation says "L3", run.json gives null' in error.message
 
 
 def test_a_rank_that_hangs_on_lost_episodes_is_none(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -151,6 +159,35 @@ def test_a_rank_that_hangs_on_lost_episodes_is_none(write: Write, monkeypatch: p
     assert rows(board)["close"].bounds == pytest.approx(((close.sum() - 3) / EPISODES, close.sum() / EPISODES))
     wide = leaderboard([Path(rows(board)["a"].source), write("wide", solved(0.9, 5), lost=lost)], published=False)
     assert rows(wide)["wide"].rank == 1 and rows(wide)["wide"].ties == "a"
+
+
+def test_what_nobody_simulated_stands_apart(write: Write) -> None:
+    mine, claimed = write("mine", solved(0.5, 1)), write("claimed", solved(0.99, 2), verified=False)
+    board = leaderboard([claimed, mine], published=False)
+    assert [(row.policy, row.rank, bool(row.verified)) for row in board.rows] == [
+        ("mine", 1, True),
+        ("claimed", None, False),
+    ]
+    assert rows(board)["claimed"].unranked.startswith("not verified") and remark(board, "NOT VERIFIED")
+    titles = [title for title, _ in titled_groups(board)]
+    assert len(titles) == 2 and titles[1].startswith("grasp, conditional: not verified")
+    assert not remark(leaderboard([mine]), "NOT VERIFIED")
+
+
+def test_a_policy_that_carries_the_simulator_has_letters_and_no_rank(write: Write, tmp_path: Path) -> None:
+    entry = write_entry(tmp_path / "oracle.json", write("oracle", solved(0.99, 1)), kind_of_policy="simulator")
+    board = leaderboard([entry, write("mine", solved(0.5, 2))], published=False)
+    found = rows(board)
+    assert (found["oracle"].tag, found["oracle"].rank, found["mine"].rank) == ("simulator", None, 1)
+    assert found["oracle"].ties != found["mine"].ties and remark(board, "simulator: it carries")
+
+
+@pytest.mark.parametrize("name", ["random", "scripted"])
+def test_a_run_under_the_name_of_an_installed_policy_must_be_of_it(write: Write, name: str) -> None:
+    own, taken = write(name, solved(0.5, 1)), write(f"{name}-2", solved(0.6, 2), policy=name, digest="f" * 64)
+    board = leaderboard([own, taken], published=False)
+    verdicts = {row.source: row.unranked for row in board.rows}
+    assert not verdicts[str(own)] and "is the name of an installed policy" in verdicts[str(taken)]
 
 
 def test_another_simulator_is_said_loudly(write: Write) -> None:
@@ -191,9 +228,9 @@ def test_only_the_papers_own_policies_have_a_distance_to_it(write: Write) -> Non
 def test_a_run_and_its_entry_are_one_row(write: Write, tmp_path: Path) -> None:
     folder = write("mine", solved(0.5, 1))
     path = tmp_path / "entry.json"
-    path.write_bytes(encode(make_entry(folder, "renamed", "https://example.org")))
+    write_entry(path, folder, policy="renamed", link="https://example.org")
     board = leaderboard([folder, path], published=False)
-    assert [(row.policy, row.link) for row in board.rows] == [("renamed", "https://example.org")]
+    assert [(row.policy, row.link) for row in board.rows] == [("mine", "")]
     twin = write("twin", solved(0.5, 1), digest="f" * 64)
     assert len(leaderboard([folder, path, twin], published=False).rows) == 2
 

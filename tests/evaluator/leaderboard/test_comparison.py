@@ -11,20 +11,28 @@ import pyarrow.parquet as pq
 import pytest
 
 from evaluator.leaderboard.comparison import compare
-from evaluator.leaderboard.submission import make_entry
-from evaluator.run.entry import encode
-from evaluator.run.reading import read_run
+from evaluator.leaderboard.verification import read_verified as read_run
 from evaluator.statistics import detectable_difference, midp_mcnemar, pair_table, paired_interval
 from rema_data.errors import InputError, IntegrityError, MissingFileError
-from tests.evaluator.runs import EPISODES, FINGERPRINT, solved, write_manifests, write_run
+from tests.evaluator.runs import (
+    EPISODES,
+    FINGERPRINT,
+    STOPPED,
+    solved,
+    use_installation,
+    write_entry,
+    write_manifests,
+    write_run,
+)
 
 A, B = solved(0.6, 1), solved(0.5, 2)
+
+OLD_ENTRY = Path(__file__).resolve().parents[2] / "data" / "runs" / "entry-format-1.json"
 
 
 @pytest.fixture(autouse=True)
 def _manifests(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_manifests(tmp_path / "manifests")
-    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
+    use_installation(tmp_path, monkeypatch)
 
 
 @pytest.fixture
@@ -64,7 +72,7 @@ def test_entries_compare_like_their_runs(tmp_path: Path, a: Path, b: Path) -> No
     paths = []
     for folder in (a, b):
         paths.append(tmp_path / f"{folder.name}.json")
-        paths[-1].write_bytes(encode(make_entry(folder)))
+        write_entry(paths[-1], folder)
     whole, packed = compare(read_run(a), read_run(b)), compare(*map(read_run, paths))
     mixed = compare(read_run(a), read_run(paths[1]))
     for found in (packed, mixed):
@@ -74,13 +82,24 @@ def test_entries_compare_like_their_runs(tmp_path: Path, a: Path, b: Path) -> No
         ]
 
 
-def test_entries_of_another_list_have_no_breakdown(tmp_path: Path, a: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "a.json"
-    path.write_bytes(encode(make_entry(a)))
+def test_old_entries_are_compared_and_say_that_nobody_can_verify_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     write_manifests(tmp_path / "elsewhere", tasks=("grasp_push",))
     monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "elsewhere"))
-    found = compare(read_run(path), read_run(path))
+    found = compare(read_run(OLD_ENTRY), read_run(OLD_ENTRY))
     assert found.strata == () and any("No breakdown" in remark for remark in found.remarks)
+    assert any(remark.startswith("NOT VERIFIED") for remark in found.remarks)
+
+
+def test_entries_of_a_list_that_is_not_here_are_refused(
+    tmp_path: Path, a: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_entry(tmp_path / "a.json", a)
+    write_manifests(tmp_path / "elsewhere", tasks=("grasp_push",))
+    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "elsewhere"))
+    with pytest.raises(IntegrityError, match="its scenario list .* is not here"):
+        read_run(path)
 
 
 @pytest.mark.parametrize(
@@ -114,7 +133,7 @@ def test_another_build_that_gives_the_same_bits_is_the_same_simulator(tmp_path: 
 
 
 def test_a_shorter_run_is_compared_where_it_can_be(tmp_path: Path, a: Path) -> None:
-    short = write_run(tmp_path / "b", B[:90], policy="other", stopped_early=True)
+    short = write_run(tmp_path / "b", B[:90], policy="other", stopped_early=STOPPED)
     found = compare(read_run(a), read_run(short))
     assert found.table == pair_table(A[:90], B[:90])
     assert sum(row.table.n for row in found.strata if row.by == "shape") == 90
@@ -125,7 +144,7 @@ def test_a_shorter_run_is_compared_where_it_can_be(tmp_path: Path, a: Path) -> N
 def test_scenarios_that_a_shard_did_not_play_are_left_out(tmp_path: Path, a: Path) -> None:
     """The rows of a machine that does a part of a run: the others have no result."""
     part = np.arange(EPISODES) < 90
-    folder = write_run(tmp_path / "b", B, unplayed=~part, unfinished=EPISODES - 90)
+    folder = write_run(tmp_path / "b", B, unplayed=~part)
     found = compare(read_run(a), read_run(folder))
     assert found.table == pair_table(A, B, part)
     assert found.only_a == tuple(np.flatnonzero(A & ~B & part))
@@ -145,7 +164,7 @@ def test_lost_episodes_are_left_out_and_named(tmp_path: Path, a: Path) -> None:
 
 
 def test_a_run_that_was_stopped_is_no_fair_sample(tmp_path: Path, a: Path) -> None:
-    other = write_run(tmp_path / "b", B, unfinished=12)
+    other = write_run(tmp_path / "b", B, unplayed=np.arange(EPISODES) < 12)
     found = compare(read_run(a), read_run(other))
     assert any("12 of its episodes were not finished" in remark for remark in found.remarks)
 
@@ -155,8 +174,8 @@ def test_a_run_that_was_stopped_is_no_fair_sample(tmp_path: Path, a: Path) -> No
     [
         ({"eligible": float("inf")}, IntegrityError, "eligible says Infinity, results.parquet gives 300"),
         ({"fingerprint": "abc"}, IntegrityError, 'fingerprint says "abc", run.json gives {'),
-        ({"nondeterministic": "0"}, InputError, "is not the summary of a run: nondeterministic is '0'"),
-        ({"audit": {"actions": 1}}, InputError, "is not the summary of a run: audit.action_flips is missing"),
+        ({"nondeterministic": "0"}, IntegrityError, "run.json is not a run header: end.nondeterministic is '0'"),
+        ({"audit": {"actions": 1}}, IntegrityError, "run.json is not a run header: end.audit.action_flips is missing"),
     ],
 )
 def test_a_summary_of_something_else_is_refused(

@@ -13,16 +13,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evaluator.run.proof import check_proof, make_proof
+from evaluator.replay import replay
 from evaluator.run.reading import read_run
 from evaluator.run.run import Run
 from evaluator.run.tables import to_parquet
 from evaluator.scenarios import VERSION
-from rema_data.errors import InputError, IntegrityError, MissingFileError
+from rema_data.errors import IntegrityError, MissingFileError
+from tests.evaluator.fakes import fake_backend
 
 from .conftest import EPISODES, with_value
 
-SEALED = ("results.parquet", "actions.bin", "leaves.bin", "summary.json", "run.json")
+SEALED = ("results.parquet", "actions.bin", "summary.json", "run.json")
 Copy = Callable[[str], Path]
 
 
@@ -37,7 +38,7 @@ def examined(run: Path) -> Run:
 
 
 def places(run: Path, file: str) -> list[str]:
-    return [finding.where for finding in examined(run).findings if finding.file == file]
+    return [finding.where for finding in examined(run).findings if file in finding.file]
 
 
 @pytest.mark.parametrize("name", ["short", "long"])
@@ -59,7 +60,7 @@ def test_any_changed_byte_of_a_sealed_file_is_found(
         named = {finding.file for finding in examined(run).findings}
     except IntegrityError as error:
         named = {"run.json"} if "run.json" in error.message else set()
-    assert file in named
+    assert any(file in name for name in named)
 
 
 @pytest.mark.parametrize("file", SEALED)
@@ -88,22 +89,23 @@ def test_a_byte_of_the_action_log_names_episode_and_step(copy_of: Copy) -> None:
     assert "results.parquet says action" in finding.detail
 
 
-def test_a_byte_of_the_leaves_names_the_row(copy_of: Copy) -> None:
-    run = copy_of("short")
-    flip(run / "leaves.bin", 32 * 40 + 5)
-    assert places(run, "leaves.bin") == [f"row 40 ({VERSION}/grasp/test/00040)"]
-
-
-@pytest.mark.parametrize(
-    ("column", "value"), [("success", None), ("step0_lift_m", 1e-9), ("target_x_m", 0.5), ("step0_action", 33_000)]
-)
-def test_a_changed_value_names_the_row(copy_of: Copy, column: str, value: object) -> None:
+@pytest.mark.parametrize(("column", "value"), [("step0_lift_m", 1e-9), ("target_x_m", 0.5), ("step0_action", 33_000)])
+def test_a_changed_value_is_found_and_a_replay_names_the_row(copy_of: Copy, column: str, value: object) -> None:
     run = copy_of("short")
     table = pq.read_table(run / "results.parquet")
     (run / "results.parquet").write_bytes(to_parquet(with_value(table, column, 31, value)))
-    found = places(run, "results.parquet")
-    assert found[0] == f"row 31 ({VERSION}/grasp/test/00031)" and all(where.startswith("row 31 ") for where in found)
-    assert places(run, "actions.bin") == []
+    with pytest.raises(IntegrityError, match=r"results\.parquet"):
+        read_run(run)
+    found = replay(run, engine="inline", backend=fake_backend()).findings
+    assert {finding.where.partition(" (")[0] for finding in found} - {""} == {"row 31"}
+    assert not any(finding.file == "actions.bin" for finding in found)
+
+
+def test_a_success_that_is_gone_is_found(copy_of: Copy) -> None:
+    run = copy_of("short")
+    table = pq.read_table(run / "results.parquet")
+    (run / "results.parquet").write_bytes(to_parquet(with_value(table, "success", 31, None)))
+    assert places(run, "results.parquet") and places(run, "summary.json")
 
 
 def test_rows_that_are_gone_or_swapped(copy_of: Copy) -> None:
@@ -113,21 +115,16 @@ def test_rows_that_are_gone_or_swapped(copy_of: Copy) -> None:
     assert any(f"has {EPISODES - 1} rows" in finding.detail for finding in examined(run).findings)
     order = [0, 2, 1, *range(3, EPISODES)]
     (run / "results.parquet").write_bytes(to_parquet(table.take(pa.array(order))))
-    assert places(run, "results.parquet")[:2] == [
-        f"row 1 ({VERSION}/grasp/test/00002)",
-        f"row 2 ({VERSION}/grasp/test/00001)",
-    ]
+    assert any("not have one row for every scenario" in finding.detail for finding in examined(run).findings)
 
 
-@pytest.mark.parametrize("part", ["identity", "policy", "segments"])
-def test_a_changed_entry_of_the_header_is_named(copy_of: Copy, part: str) -> None:
+@pytest.mark.parametrize(("old", "new"), [('"d"', '"e"'), ('"fake"', '"real"'), ("shuffled", "shuffles")])
+def test_a_changed_header_is_found(copy_of: Copy, old: str, new: str) -> None:
     run = copy_of("short")
     text = (run / "run.json").read_text()
-    old, new = {"identity": ('"d"', '"e"'), "policy": ('"fake"', '"real"'), "segments": ("shuffled", "shuffles")}[part]
     (run / "run.json").write_text(text.replace(old, new, 1))
     changed = examined(run)
-    assert part in [finding.where for finding in changed.findings if finding.file == "run.json"]
-    assert changed.seal_state == "changed"
+    assert any("run.json" in finding.file for finding in changed.findings) and changed.seal_state == "changed"
 
 
 def test_a_header_that_says_nothing_usable(copy_of: Copy) -> None:
@@ -137,27 +134,3 @@ def test_a_header_that_says_nothing_usable(copy_of: Copy) -> None:
     (run / "run.json").write_text(json.dumps(header))
     with pytest.raises(IntegrityError, match="unknown task 'fly'.*protocol_hash is missing"):
         examined(run)
-
-
-def test_one_episode_is_proved_without_the_run(home: Path) -> None:
-    root = json.loads((home / "long" / "run.json").read_text())["seal"]["merkle_root"]
-    proof = json.loads(json.dumps(make_proof(home / "long", 77)))
-    assert len(proof["path"]) <= 7
-    row = check_proof(proof, root)
-    assert row["scenario"] == f"{VERSION}/grasp_grasp_push/test/00077"
-    for other in ({**proof, "row": {**row, "success": not row["success"]}}, {**proof, "position": 76}):
-        with pytest.raises(IntegrityError, match="not part of the run"):
-            check_proof(other, root)
-    for nothing in ([], {}, {**proof, "format": "x"}, {**proof, "path": ["zz"]}, 7):
-        with pytest.raises(InputError, match="not the proof"):
-            check_proof(nothing, root)
-
-
-def test_no_proof_of_rows_that_were_changed(copy_of: Copy) -> None:
-    run = copy_of("short")
-    table = pq.read_table(run / "results.parquet")
-    (run / "results.parquet").write_bytes(to_parquet(with_value(table, "success", 3, None)))
-    with pytest.raises(IntegrityError, match="row 3"):
-        make_proof(run, 5)
-    with pytest.raises(InputError, match="has no episode 120"):
-        make_proof(copy_of("long"), 120)

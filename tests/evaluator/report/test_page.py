@@ -77,7 +77,6 @@ def test_every_label_has_a_card_and_every_picture_says_what_it_is(push_run: Path
 
 def test_every_part_of_the_page_is_there(push_run: Path, page: Page) -> None:
     """Breakdowns that divide all episodes, maps of places, where the time went, and who computed it."""
-    summary = json.loads((push_run / "summary.json").read_text())
     for words in ("shape", "yaw", "length", "before", "after", "with the chosen action", "animation"):
         assert words in page.text.lower() or any(words in str(one["alt"]).lower() for one in page.all("img")), words
     for phase in ("observe", "infer", "simulate"):
@@ -86,7 +85,7 @@ def test_every_part_of_the_page_is_there(push_run: Path, page: Page) -> None:
     for fact in (
         segment["machine"]["processor"],
         f"pybullet {segment['versions']['pybullet']}",
-        summary["merkle_root"],
+        json.loads((push_run / "run.json").read_text())["seal"],
     ):
         assert fact in page.text
 

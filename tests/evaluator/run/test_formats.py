@@ -17,9 +17,9 @@ from evaluator.leaderboard import leaderboard
 from evaluator.replay import replay
 from evaluator.report import ReportOptions, write_report
 from evaluator.run import tables
+from evaluator.run.entry import FORMAT as ENTRY_FORMAT
 from evaluator.run.entry import encode, find_entries, read_entry, seal
 from evaluator.run.header import RUN_FORMAT
-from evaluator.run.proof import check_proof, make_proof
 from evaluator.run.reading import read_run
 from evaluator.runner import run_evaluation
 from rema_data.errors import IntegrityError
@@ -27,7 +27,7 @@ from rema_data.schema import Evidence
 from tests.evaluator.fakes import FakePolicyProcess, fake_backend, fake_config
 
 DATA = Path(__file__).resolve().parents[2] / "data" / "runs"
-ENTRY = DATA / "entry-format-1.json"
+ENTRY, NEWER_ENTRY = (DATA / f"entry-format-{number}.json" for number in range(1, ENTRY_FORMAT + 1))
 FORMATS = range(1, RUN_FORMAT + 1)
 
 
@@ -80,8 +80,6 @@ def test_a_later_version_with_one_more_column_reads_them(number: int, installati
     assert {row["step1_work_j"] for row in run.rows} == {None}
     report = replay(run.source, engine="inline", backend=fake_backend())
     assert report.ok and report.replayed == 12
-    proof = make_proof(run.source, 3)
-    assert check_proof(proof, run.provenance.merkle_root)["index"] == 3
     page = write_report(run.source, installation / "page.html", ReportOptions(per_label=0)).path.read_text()
     assert "7 of 12 eligible" in page
 
@@ -113,22 +111,31 @@ def test_a_run_of_format_1_goes_on_and_is_of_the_newest_format_then(tmp_path: Pa
 def test_the_newest_format_is_what_is_written(installation: Path) -> None:
     evaluate_again(installation / "run")
     newest = DATA / f"format-{RUN_FORMAT}"
+    assert {path.name for path in newest.iterdir()} == {path.name for path in (installation / "run").iterdir()} - {
+        ".lock"
+    }
     written, known = (pq.read_table(path / "results.parquet") for path in (installation / "run", newest))
     assert written.equals(known, check_metadata=True)
     mine, kept = (json.loads((path / "run.json").read_text()) for path in (installation / "run", newest))
-    assert mine["format"] == kept["format"] and mine["seal"]["files"].keys() == kept["seal"]["files"].keys()
+    assert mine["format"] == kept["format"] and mine.keys() == kept.keys() and mine["end"].keys() == kept["end"].keys()
     ours, theirs = (json.loads((path / "summary.json").read_text()) for path in (installation / "run", newest))
     assert ours.keys() == theirs.keys(), "an optional field was added: keep a run of it in tests/data/runs"
 
 
-def test_entries_of_format_1_are_read_and_written_unchanged() -> None:
+def test_entries_of_format_1_are_read_and_stand_apart() -> None:
     entry = read_run(ENTRY)
     assert (entry.policy, entry.link, entry.counts.eligible) == ("my_policy", "https://example.org", 300)
-    assert encode(entry) == ENTRY.read_bytes()
     for path in find_entries():
         assert read_entry(path).seal_state == "whole"
-    assert encode(read_entry(path)) == path.read_bytes()
-    assert [row.policy for row in leaderboard([ENTRY], published=False).rows] == ["my_policy"]
+    (row,) = leaderboard([ENTRY], published=False).rows
+    assert (row.policy, row.rank, row.verified) == ("my_policy", None, "") and row.rate and row.unranked
+
+
+@pytest.mark.usefixtures("installation")
+def test_entries_of_the_newest_format_are_read_and_written_unchanged() -> None:
+    entry = read_run(NEWER_ENTRY)
+    assert (entry.policy, entry.link, entry.actions.shape) == ("my_policy", "https://example.org", (300, 2))
+    assert json.loads(encode(entry)) == json.loads(NEWER_ENTRY.read_bytes())
 
 
 def newer_run(folder: Path) -> Path:
@@ -140,7 +147,7 @@ def newer_run(folder: Path) -> Path:
 
 def newer_entry(folder: Path) -> Path:
     content = json.loads(ENTRY.read_text())
-    content.update(format=2, novelty=True)
+    content.update(format=ENTRY_FORMAT + 1, novelty=True)
     content["provenance"]["rema"] = "0.9.1"
     path = folder / "entry.json"
     path.write_text(json.dumps({**content, "sha256": seal(content)}))
@@ -170,6 +177,7 @@ def test_a_newer_format_is_refused_with_the_version_to_install(make: Callable[[P
         lambda header: header.update(seal=[]),
         lambda header: header["seal"].update(files=[1]),
         lambda header: header["seal"].update(steps=["0"]),
+        lambda header: header.update(seal="no sha256"),
         lambda header: header["seal"].pop("sha256"),
         lambda header: header["seal"]["files"].update({"../other": "0"}),
     ],

@@ -5,7 +5,9 @@ from __future__ import annotations
 import errno
 import json
 import shutil
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +16,23 @@ from click.testing import CliRunner
 from filelock import FileLock
 
 from evaluator.cli.main import cli
+from evaluator.engines.base import load_attribute
+from evaluator.run.folder import RunFolder
+from evaluator.run.plan import Plan
 from evaluator.run.reading import read_run
-from evaluator.runner import run_evaluation
+from evaluator.run.records import Ledger, _line
+from evaluator.runner import merge, run_evaluation
+from evaluator.runner.audit import repeats, seed_of
+from evaluator.runner.finalize import seal_run, write_tables
 from evaluator.runner.merge import merge_runs
 from evaluator.runner.shards import RunShard
+from evaluator.scenarios import load_list
 from rema_data.errors import InputError, IntegrityError, MissingFileError, RunMismatchError
 from tests.evaluator.fakes import FakePolicyProcess, fake_backend, fake_config, write_fake_list
 
 LONG = "grasp_grasp_push"
 EPISODES, COUNT, BATCH = 200, 3, 16
-SAME = ("results.parquet", "actions.bin", "leaves.bin")
+SAME = ("results.parquet", "actions.bin")
 
 
 def cut(whole: Path, folder: Path, indices: Iterable[int], shard: str) -> Path:
@@ -39,7 +48,20 @@ def cut(whole: Path, folder: Path, indices: Iterable[int], shard: str) -> Path:
         target = folder / journal.relative_to(whole)
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_bytes(b"".join(line for line in lines if json.loads(line)[1]["index"] in chosen))
+    seal(folder, header)
     return folder
+
+
+def seal(folder: Path, header: dict[str, Any]) -> None:
+    """Write the tables that follow from the records of a run, and seal it."""
+    identity = header["identity"]
+    scenarios = load_list(identity["task"])
+    plan = Plan(scenarios.scenarios[: header["episodes"]], identity["task"], identity["protocol"])
+    with (
+        RunFolder.locked(folder, identity, header["episodes"]) as whole,
+        closing(Ledger(whole.records, whole.segment)) as ledger,
+    ):
+        seal_run(whole, plan, ledger, write_tables(whole, plan, scenarios, ledger), None)
 
 
 def table(folder: Path) -> list[bytes]:
@@ -56,10 +78,22 @@ def divided(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_fake_list(folder / "manifests", LONG, 300)
         config = fake_config(folder / "whole", task=LONG, protocol="end-to-end", batch_size=BATCH, engine="inline")
         run_evaluation(config, backend=fake_backend())
-    for number in range(1, COUNT + 1):
-        shard = RunShard(number, COUNT)
-        cut(folder / "whole", folder / f"shard{number}", shard.indices(EPISODES, BATCH), str(shard))
+        for number in range(1, COUNT + 1):
+            shard = RunShard(number, COUNT)
+            cut(folder / "whole", folder / f"shard{number}", shard.indices(EPISODES, BATCH), str(shard))
     return folder
+
+
+def _inline(simulate: Callable[..., None], *arguments: Any, **named: Any) -> None:
+    simulate(*arguments, **{**named, "engine": "inline"})
+
+
+@pytest.fixture(autouse=True)
+def _fake_world(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a process for the sample and one for the fingerprint."""
+    monkeypatch.setattr(merge, "default_backend", fake_backend)
+    monkeypatch.setattr(merge, "call_in_child", lambda target: load_attribute(target)())
+    monkeypatch.setattr(merge, "simulate_jobs", partial(_inline, merge.simulate_jobs))
 
 
 @pytest.fixture
@@ -78,7 +112,8 @@ def test_merged_shards_have_the_bytes_of_the_whole_run(whole: Path, shards: list
     assert table(fake_home / "merged") == table(whole)
     before = json.loads((whole / "summary.json").read_text())
     differ = {name for name in before if before[name] != result.summary[name]}
-    assert differ <= {"seconds", "episodes_per_second", "segments"}
+    assert differ <= {"seconds", "episodes_per_second", "segments", "audit"}
+    assert result.summary["audit"]["outcomes"] > before["audit"]["outcomes"]  # the sample, besides the shards' audits
     assert result.summary["audit"]["actions"] > 0
 
 
@@ -91,6 +126,58 @@ def test_a_merged_run_is_sealed_and_goes_on_like_any_other(shards: list[Path], f
     run_evaluation(config, backend=fake_backend(process))
     assert process.asked == 0
     assert table(fake_home / "merged") == before
+
+
+@pytest.mark.parametrize("file", ["results.parquet", "actions.bin", "summary.json", "run.json"])
+def test_a_shard_that_is_not_what_was_sealed_is_refused(shards: list[Path], fake_home: Path, file: str) -> None:
+    content = (shards[1] / file).read_bytes()
+    edited = content.replace(b'"unfinished"', b'"Unfinished"').replace(b'"shuffled"', b'"Shuffled"')
+    (shards[1] / file).write_bytes(edited if edited != content else content[:-9] + b"x" + content[-8:])
+    with pytest.raises(IntegrityError, match="shard2 is refused"):
+        merge_runs(shards, fake_home / "merged")
+    assert not (fake_home / "merged").exists()
+
+
+def false_outcomes(shard: Path, share: float) -> None:
+    """Give failures of a shard, in its records and in the repeats of its audit, another label and a new checksum."""
+    for journal in (shard / "records").rglob("outcomes-*.jsonl"):
+        lines = []
+        for number, line in enumerate(journal.read_bytes().splitlines()):
+            row = json.loads(line)[1]
+            if not row["outcome"]["success"] and number % round(1 / share) == 0:
+                row["outcome"].update(failure="slipped")
+            lines.append(_line(row))
+        journal.write_bytes(b"".join(lines))
+    seal(shard, json.loads((shard / "run.json").read_text()))
+
+
+def test_a_shard_with_false_outcomes_is_found_by_the_sample(shards: list[Path], fake_home: Path) -> None:
+    false_outcomes(shards[1], 1.0)
+    with pytest.raises(IntegrityError, match="have another outcome than recorded") as caught:
+        merge_runs(shards, fake_home / "merged")
+    assert str(shards[1]) in caught.value.message and not (fake_home / "merged").exists()
+
+
+def test_another_simulator_only_counts(shards: list[Path], fake_home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("REMA_FAKE_PARAMETERS", "other")
+    merge_runs(shards, fake_home / "merged")
+    before = json.loads((shards[0].parent / "merged" / "summary.json").read_text())["audit"]
+    assert before["outcome_flips"] == 0
+    false_outcomes(shards[1], 1.0)
+    with pytest.raises(IntegrityError, match="have another outcome"):
+        merge_runs(shards, fake_home / "false")
+
+
+def test_the_sample_cannot_be_known_before_the_shards_are_sealed(shards: list[Path]) -> None:
+    """The same shards give the same sample in any order; another seal or another row gives another one."""
+    scenarios = Plan(load_list(LONG).scenarios[:EPISODES], LONG, "end-to-end")
+    ledger = Ledger(shards[0] / "records", 9)
+
+    def sample(*sealed: bytes) -> list[int]:
+        return [repeat.index for repeat in repeats(scenarios, ledger, 0.1, seed_of(*sealed))]
+
+    assert sample(b"a", b"b") == sample(b"a", b"b")
+    assert sample(b"a", b"b") != sample(b"a", b"c") and sample(b"a") != sample(b"b")
 
 
 def test_shards_are_left_as_they_are(shards: list[Path], fake_home: Path) -> None:
