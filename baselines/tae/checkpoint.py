@@ -180,13 +180,17 @@ def networks_in(path: Path) -> dict[str, Path]:
 def _read_card(path: Path) -> Checkpoint:
     with storage_errors(path):
         try:
-            content = checked_digest(read_json(path))
+            content = read_json(path)
         except FileNotFoundError:
             raise MissingFileError(
                 f"there is no {path.name} beside the weights in {path.parent}", hint=_AGAIN, path=str(path)
             ) from None
         except ValueError as error:
-            raise IntegrityError(f"{path} is damaged: {error}", hint=_AGAIN, path=str(path)) from error
+            raise IntegrityError(f"{path} is not JSON: {error}", hint=_AGAIN, path=str(path)) from error
+    try:
+        content = checked_digest(content)
+    except ValueError as error:
+        raise IntegrityError(f"{path} is damaged: {error}", hint=_AGAIN, path=str(path)) from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise InputError(
             f"{path} does not describe a {FORMAT!r}", hint="name a checkpoint that rema train wrote", path=str(path)
