@@ -78,9 +78,9 @@ def _confine(orders: dict[str, Any]) -> list[tuple[str, bool, str]]:
         if closed:
             os.chown(temporary["path"], 0, 0)
             user, kept = None, f"it stays root: another user cannot read {closed[0]}"
+    disk = mounted[1] if mounted[0] else f"measured from outside ({mounted[1]})"
     restrictions = [
-        (name, up, f"{detail}; {mounted[1]}" if name == "disk" and mounted[0] else detail)
-        for name, up, detail in _limit(orders["limits"])
+        (name, up, f"{detail}; {disk}" if name == "disk" else detail) for name, up, detail in _limit(orders["limits"])
     ]
     standing = Standing()
     dropped, how = drop_privileges(user, orders["groups"])
