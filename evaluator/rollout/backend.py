@@ -14,12 +14,13 @@ import numpy.typing as npt
 from evaluator.engines import FINGERPRINT, SIMULATOR
 from evaluator.run.environment import source_digest
 from evaluator.sim.bullet import require_bullet
+from rema_data.errors import RunMismatchError
 from rema_data.schema import Observation, Situation
 
 if TYPE_CHECKING:
     from evaluator.policy import Answer, ObservationBatch, PolicySpec
 
-__all__ = ["Backend", "PolicyProcess", "default_backend"]
+__all__ = ["Backend", "PolicyProcess", "check_digest", "default_backend"]
 
 
 class PolicyProcess(Protocol):
@@ -45,6 +46,17 @@ class Backend:
     policy_digest: Callable[[PolicySpec, Path | None], str]
     # (policy, checkpoint, device, log file, sandbox command or None) to the policy's process
     open_policy: Callable[[PolicySpec, Path | None, str, Path, str | None], AbstractContextManager[PolicyProcess]]
+
+
+def check_digest(policy: PolicyProcess, name: str, recorded: str) -> None:
+    """Raise RunMismatchError where what runs is not the policy whose digest was ``recorded``: a file was changed."""
+    if getattr(policy, "digest", recorded) != recorded:
+        raise RunMismatchError(
+            f"policy {name} is not the one that was recorded: its code or its weights changed",
+            hint="leave its folder and its weights alone while it is in use; to use what is there now, begin in a new "
+            "folder (--output)",
+            policy=name,
+        )
 
 
 def default_backend() -> Backend:

@@ -63,6 +63,15 @@ _SHARED, _ANONYMOUS = 0x01, 0x20
 """Flags of mmap. Memory with both counts towards no limit of a process."""
 _MISSING = ("clone3",)
 """Calls that are denied with ENOSYS: the C library then takes another one, whose arguments can be checked."""
+_NUMBERS = {
+    "clone3": 435,
+    "close_range": 436,
+    "openat2": 437,
+    "faccessat2": 439,
+    "epoll_pwait2": 441,
+    "futex_waitv": 449,
+}
+"""Of calls that an older libseccomp does not know by name; they are the same on every architecture."""
 
 
 def filter_calls(accelerators: bool) -> str:
@@ -79,6 +88,7 @@ def filter_calls(accelerators: bool) -> str:
 
     def allow(name: str, *conditions: Any, action: int = seccomp.ALLOW) -> None:
         number = int(seccomp.resolve_syscall(seccomp.Arch.NATIVE, name))
+        number = number if number >= 0 else _NUMBERS.get(name, -1)
         if number >= 0:  # this architecture has it
             calls.add_rule(action, number, *conditions)
 

@@ -53,10 +53,11 @@ def main() -> None:
     for kind in _NAMESPACES:
         with suppress(OSError):
             namespaces[kind] = os.readlink(f"/proc/self/ns/{kind}")
-    if orders["confine"]:
+    if orders["confine"] and sys.platform == "linux":
         restrictions = _confine(orders)
     else:
-        restrictions = _limit(orders["limits"]) + [(name, False, "not asked for") for name in ("privileges", *PROBES)]
+        why = f"{sys.platform} has neither Landlock nor seccomp" if orders["confine"] else "not asked for"
+        restrictions = _limit(orders["limits"]) + [(name, False, why) for name in ("privileges", *PROBES)]
     sys.argv = [""]
 
     from evaluator.policy.child import serve
