@@ -22,7 +22,7 @@ from evaluator.policy.loading import PolicySpec, check_checkpoint
 from evaluator.policy.output import CappedOutput, printable
 from evaluator.policy.process import ChildFailure, ChildProcess
 from evaluator.policy.sandbox.isolation import Isolation
-from evaluator.policy.sandbox.launch_spec import LaunchSpec, runs_beside, unused_user
+from evaluator.policy.sandbox.launch_spec import LaunchSpec, runs_beside
 from evaluator.policy.sandbox.limits import PolicyLimits
 from evaluator.policy.sandbox.private_copy import PrivateCopy
 from evaluator.policy.sandbox.snapshot import Snapshot
@@ -69,14 +69,14 @@ class PolicyHost:
         sandbox: str | None = None,
     ) -> None:
         self.spec = spec
-        self._checkpoint = check_checkpoint(checkpoint)
+        self._checkpoint = checkpoint if spec.copy is not None else check_checkpoint(checkpoint)
         self._device = device
         self._limits = limits or PolicyLimits()
         self._log = log
         self._run = log.parent if run is None and log is not None else run
         self._confined, self._sandbox = confine, sandbox
         check_sandbox(sandbox)
-        self._copy: PrivateCopy | None = None
+        self._own_copy: PrivateCopy | None = None
         self._output = CappedOutput(log, self._limits.log_head_bytes, self._limits.log_tail_bytes)
         self._child: ChildProcess | None = None
         self._isolation: Isolation | None = None
@@ -126,9 +126,14 @@ class PolicyHost:
         return self._snapshot.digest
 
     @property
-    def _snapshot(self) -> Snapshot:
-        if self._copy is None:
+    def _copy(self) -> PrivateCopy:
+        copy = self.spec.copy or self._own_copy
+        if copy is None:
             raise InputError("a policy is copied when its host is entered", hint="enter the host first")
+        return copy
+
+    @property
+    def _snapshot(self) -> Snapshot:
         return self._copy.snapshot
 
     def __enter__(self) -> Self:
@@ -267,10 +272,12 @@ class PolicyHost:
         return self._overdrawn
 
     def _take(self) -> None:
-        """Make the copy that every process of this host runs from."""
-        runs, user = runs_beside(self._run), unused_user() if self._confined else None
-        self._copy = PrivateCopy(self.spec, self._checkpoint, runs, user)
-        self._launch = LaunchSpec(self._copy.snapshot, self._limits, runs, self._confined, user, self._sandbox)
+        """Make the copy that every process of this host runs from, unless one is held for it."""
+        runs = runs_beside(self._run)
+        if self.spec.copy is None:
+            self._own_copy = PrivateCopy(self.spec, self._checkpoint, runs)
+        user = self._copy.user if self._confined else None
+        self._launch = LaunchSpec(self._snapshot, self._limits, runs, self._confined, user, self._sandbox)
 
     def _start(self) -> None:
         self._child = ChildProcess(self._output, self._launch)
@@ -313,9 +320,9 @@ class PolicyHost:
             self._child.close()
             self._child = None
         self._output.settle()
-        if self._copy is not None:
-            self._copy.remove()
-            self._copy = None
+        if self._own_copy is not None:
+            self._own_copy.remove()
+            self._own_copy = None
 
 
 def _answered(reply: Frame) -> bool:

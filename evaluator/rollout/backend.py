@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
@@ -32,6 +32,11 @@ class PolicyProcess(Protocol):
     def act(self, batch: ObservationBatch, situations: tuple[Situation, ...] | None) -> list[Answer]: ...
 
 
+def _as_it_will_be(policy: PolicySpec, checkpoint: Path | None, run: Path) -> AbstractContextManager[PolicySpec]:
+    """No copy: every process takes its own."""
+    return nullcontext(policy)
+
+
 @dataclass(frozen=True, slots=True)
 class Backend:
     """The world and the policies of a run."""
@@ -46,6 +51,8 @@ class Backend:
     policy_digest: Callable[[PolicySpec, Path | None], str]
     # (policy, checkpoint, device, log file, sandbox command or None) to the policy's process
     open_policy: Callable[[PolicySpec, Path | None, str, Path, str | None], AbstractContextManager[PolicyProcess]]
+    # (policy, checkpoint, folder of the run) to the policy as it is now, for all processes of the run
+    hold_policy: Callable[[PolicySpec, Path | None, Path], AbstractContextManager[PolicySpec]] = _as_it_will_be
 
 
 def check_digest(policy: PolicyProcess, name: str, recorded: str) -> None:
@@ -63,6 +70,7 @@ def default_backend() -> Backend:
     """The real world and the real host; raises InputError where PyBullet is not installed."""
     require_bullet()
     from evaluator.policy import PolicyHost, digest
+    from evaluator.policy.sandbox.private_copy import held
     from evaluator.protocol import protocol_hash
     from evaluator.sim import DECIDES
     from evaluator.sim.observation import observe
@@ -83,4 +91,5 @@ def default_backend() -> Backend:
         protocol_hash=protocol_hash,
         policy_digest=digest,
         open_policy=open_policy,
+        hold_policy=held,
     )

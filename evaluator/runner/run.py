@@ -6,6 +6,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from dataclasses import replace
 from typing import Any
 
 import pyarrow as pa
@@ -64,18 +65,20 @@ def run_evaluation(
             hint=f"give {len(scenarios.scenarios)} or less",
             episodes=config.episodes,
         )
-    identity = {
-        "task": config.task,
-        "split": config.split,
-        "protocol": config.protocol,
-        "policy_digest": backend.policy_digest(config.policy, config.checkpoint),
-        "protocol_hash": backend.protocol_hash(config.task, config.protocol),
-        "scenarios_hash": scenarios.sha256,
-        "fingerprint": call_in_child(backend.fingerprint),
-    }
-    with RunFolder.locked(config.output, identity, config.episodes) as folder:
-        folder.set_policy(name=config.policy.name, file=config.policy.path.name, class_name=config.policy.class_name)
-        return _Run(config, progress, backend, scenarios, folder, start, look).go()
+    with backend.hold_policy(config.policy, config.checkpoint, config.output) as policy:
+        config = replace(config, policy=policy)
+        identity = {
+            "task": config.task,
+            "split": config.split,
+            "protocol": config.protocol,
+            "policy_digest": backend.policy_digest(config.policy, config.checkpoint),
+            "protocol_hash": backend.protocol_hash(config.task, config.protocol),
+            "scenarios_hash": scenarios.sha256,
+            "fingerprint": call_in_child(backend.fingerprint),
+        }
+        with RunFolder.locked(config.output, identity, config.episodes) as folder:
+            folder.set_policy(name=policy.name, file=policy.path.name, class_name=policy.class_name)
+            return _Run(config, progress, backend, scenarios, folder, start, look).go()
 
 
 class _Run:
