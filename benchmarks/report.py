@@ -24,6 +24,7 @@ SECTIONS = {
     "full_run": "Whole runs",
     "report_page": "The report of a run",
     "isolation": "Isolation of the policy",
+    "hostile": "Hostile policies",
     "memory": "Memory",
     "determinism": "Determinism of the world",
     "byte_identity": "Equal bytes of whole runs",

@@ -81,6 +81,12 @@ def test_isolation_is_measured(tmp_path: Path) -> None:
     assert content["targets"]
 
 
+def test_hostile_policies_are_tabled(tmp_path: Path) -> None:
+    content = measured(tmp_path, "hostile", "SetsClock", "Exits")
+    assert set(content["numbers"]["policies"]) == {"SetsClock", "Exits"}
+    assert all(one["counted"] for one in content["numbers"]["policies"].values())
+
+
 @pytest.mark.benchmark
 def test_a_page_is_written_and_measured(tmp_path: Path) -> None:
     words = ("--task", "push", "--episodes", "20", "--per-label", "0", "--repeats", "1")
