@@ -12,7 +12,7 @@ with 6 where something is wrong.
 from __future__ import annotations
 
 import sys
-from collections import Counter
+from collections import Counter, defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from rich.table import Table
 
 from benchmarks.results import finish, parser, target
 from tests.mutations.parsers import PARSERS
-from tests.mutations.trial import GOOD, WRONG, trials
+from tests.mutations.trial import GOOD, WRONG, Trial, trials
 
 RESULTS = (*GOOD, *WRONG)
 
@@ -36,17 +36,16 @@ def main() -> int:
     names = arguments.parsers.split(",") if arguments.parsers else [one.name for one in PARSERS]
     table = Table("parser", "inputs", *RESULTS, "slowest, s", title="Mutated inputs")
     rows: dict[str, dict[str, Any]] = {}
-    for name in names:
-        found = list(trials([name], arguments.count, arguments.seed))
-        counts = Counter(trial.result for trial in found)
-        slowest = max(trial.seconds for trial in found)
-        rows[name] = {"inputs": len(found), **{result: counts[result] for result in RESULTS}, "slowest_s": slowest}
+    found: defaultdict[str, list[Trial]] = defaultdict(list)
+    for trial in trials(names, arguments.count, arguments.seed):
+        found[trial.parser].append(trial)
+        if trial.result in WRONG:
+            print(trial.parser, trial.number, trial.kind, trial.result, trial.detail, sep=", ", file=sys.stderr)
+    for name, of_parser in found.items():
+        counts = Counter(trial.result for trial in of_parser)
+        slowest = max(trial.seconds for trial in of_parser)
+        rows[name] = {"inputs": len(of_parser), **{result: counts[result] for result in RESULTS}, "slowest_s": slowest}
         table.add_row(name, *(str(value) for value in rows[name].values()))
-        for trial in found:
-            if trial.result in WRONG:
-                print(
-                    f"{name} {trial.number}, {trial.kind}: {trial.result} {trial.detail}", file=sys.stderr, flush=True
-                )
     wrong = sum(row[result] for row in rows.values() for result in WRONG)
     total = sum(row["inputs"] for row in rows.values())
     targets = [target(f"{total:,} mutated inputs of {len(rows)} parsers", "none wrong", f"{wrong:,} wrong", not wrong)]

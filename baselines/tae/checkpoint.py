@@ -153,7 +153,7 @@ def load_checkpoint(path: Path) -> tuple[TaeNetwork, Checkpoint]:
     try:
         weights = {key: tensor.to(_like(network, key)) for key, tensor in load(data).items()}
         network.load_state_dict(weights)
-    except (SafetensorError, RuntimeError, KeyError) as error:
+    except (SafetensorError, RuntimeError, KeyError, AttributeError) as error:
         raise InputError(
             f"{file} holds the weights of another architecture: {str(error).splitlines()[0]}",
             hint="train it with this version of rema: rema train",

@@ -70,7 +70,10 @@ class DecodedCache:
     def categories(self) -> Categories:
         """Values of the index's text columns."""
         assert self.folder is not None
-        found: Categories = read_record(self.folder)["categories"]
+        try:
+            found: Categories = read_record(self.folder)["categories"]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise self._damage() from error
         return found
 
     def _map(self, name: str) -> Array:
@@ -78,11 +81,14 @@ class DecodedCache:
         try:
             return np.asarray(np.load(self.folder / f"{name}.npy", mmap_mode="r"))
         except (OSError, ValueError) as error:
-            raise MissingFileError(
-                f"the decoded cache {self.folder} was removed or damaged while it was in use",
-                hint="load the release again: rema_data.load builds it",
-                path=str(self.folder),
-            ) from error
+            raise self._damage() from error
+
+    def _damage(self) -> MissingFileError:
+        return MissingFileError(
+            f"the decoded cache {self.folder} was removed or damaged while it was in use",
+            hint="load the release again: rema_data.load builds it",
+            path=str(self.folder),
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         return {"folder": self.folder}

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
-__all__ = ["HIDDEN", "INDEX_DTYPE", "Categories", "Index", "encode_steps", "to_frame"]
+__all__ = ["HIDDEN", "INDEX_DTYPE", "TEXT_COLUMNS", "Categories", "Index", "encode_steps", "to_frame"]
 
 Index = npt.NDArray[np.void]
 """Structured array of ``INDEX_DTYPE``, one row a step."""

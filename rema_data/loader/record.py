@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from rema_data.json_files import read_json
+from rema_data.json_files import checked_digest, read_json, with_digest
 from rema_data.loader.decode import MAP_ARRAYS
-from rema_data.loader.index import INDEX_DTYPE
+from rema_data.loader.index import INDEX_DTYPE, TEXT_COLUMNS
 from rema_data.storage import file_sha256, write_atomic
 
 __all__ = ["CACHE_VERSION", "damaged_files", "has_digests", "is_whole", "read_record", "write_record"]
@@ -34,14 +34,16 @@ def write_record(folder: Path, files: Sequence[Path], about: Mapping[str, Any]) 
         digests = dict(zip((file.name for file in files), pool.map(_sha256, files), strict=True))
     sizes = {file.name: file.stat().st_size for file in files}
     record = {"version": CACHE_VERSION, **about, "files": sizes, "digests": digests}
-    write_atomic(folder / _RECORD, json.dumps(record, indent=1) + "\n")
+    write_atomic(folder / _RECORD, json.dumps(with_digest(record), indent=1) + "\n")
 
 
 def read_record(folder: Path) -> dict[str, Any]:
     """The record of a cache. Raises OSError, ValueError, KeyError or TypeError where it cannot be read."""
-    record = read_json(folder / _RECORD)
+    record = checked_digest(read_json(folder / _RECORD))
     if record["version"] != CACHE_VERSION:
         raise ValueError(f"the cache has version {record['version']}")
+    if not all(isinstance(text, str) for name in TEXT_COLUMNS for text in record["categories"][name]):
+        raise ValueError("the cache has no values of its text columns")
     return dict(record)
 
 

@@ -91,7 +91,8 @@ def read_cache(folder: Path) -> Any:
     damage = damaged_files(cache.folder)
     if damage:
         raise IntegrityError(f"{damage} are damaged", hint="rema doctor --check-caches says so")
-    return {**vars(cache.maps), "index": np.array(cache.index), "categories": cache.categories}
+    table = rema_data.load("tiny").steps(which="all").table
+    return {**vars(cache.maps), "index": np.array(cache.index), "categories": cache.categories, "table": table}
 
 
 def make_download(folder: Path) -> None:

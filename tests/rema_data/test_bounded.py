@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import io
 import json
-import resource
 import zipfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,17 +23,10 @@ from rema_data.store.keys import BlockKey
 from rema_data.store.maps import MapsReader
 from rema_data.testing import make_block, make_release
 from rema_data.validation import validated
+from tests.memory import little_memory
 
 ROWS = {"scene": ("uint16", (64, 64)), "which": ("uint32", ())}
 MOST = {"scene": 4, "which": 4}
-
-
-@contextmanager
-def little_memory(most_kb: int = 200_000) -> Iterator[None]:
-    """Fail where the process takes so much more memory meanwhile."""
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    yield
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < most_kb
 
 
 def long_table(schema: pa.Schema, rows: int) -> bytes:

@@ -105,6 +105,7 @@ def unsigned(card: Path) -> str:
         (lambda card: card.write_text(unsigned(card).replace('"updates"', '"steps"')), InputError),
         (lambda card: card.write_text(unsigned(card).replace('"width": 8', '"width": 100000')), InputError),
         (lambda card: card.write_text(unsigned(card).replace('"updates": 10', '"updates": "10"')), InputError),
+        (lambda card: card.write_text(unsigned(card).replace('"scene_stride": 4', '"scene_stride": 2')), InputError),
         (lambda card: card.write_text(card.read_text().replace("0.5", "0.75")), IntegrityError),
         (lambda card: card.write_text("[" * 100_000), IntegrityError),
         (lambda card: card.with_suffix(".safetensors").unlink(), MissingFileError),
