@@ -24,7 +24,7 @@ from typing import Any, NoReturn
 
 __all__ = ["GRACE_S", "POLL_S", "Interrupted", "check", "held", "leave", "listen", "listening", "requested"]
 
-GRACE_S = 4.0
+GRACE_S = 3.0
 """So long a process has to end by itself after the first signal."""
 POLL_S = 0.1
 """How long a wait for something outside of this process may be, before the flag is looked at again."""
@@ -50,7 +50,7 @@ class _Listener:
         kinds = [kind for kind in signals if signal.getsignal(kind) is not signal.SIG_IGN]  # nohup stays nohup
         self._before: dict[int, Any] = {kind: signal.signal(kind, self._handle) for kind in kinds}
         self._wakeup: int | None = None
-        if grace_s is not None:
+        if grace_s is not None and os.name == "posix":
             self._watch()
 
     def _watch(self) -> None:
