@@ -153,3 +153,15 @@ def test_opening_a_decoded_release_needs_neither_torch_nor_pandas(small: Release
     )
     run = subprocess.run([sys.executable, "-c", code, str(small.path)], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == ""
+
+
+def test_relative_paths_are_meant_from_where_they_were_given(
+    places: Path, small: ReleaseFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = rema_data.load(Path("data") / small.manifest.name, cache="caches")
+    made_here = ReleaseFolder(small.manifest, Path("data"))
+    (places / "elsewhere").mkdir()
+    monkeypatch.chdir(places / "elsewhere")
+    assert len(opened.steps(tasks=["grasp"])) > 0 and opened.cache.folder is not None
+    assert opened.cache.folder.is_relative_to(places / "caches") and list((places / "elsewhere").iterdir()) == []
+    assert made_here.blocks() == small.blocks()
