@@ -30,6 +30,7 @@ SECTIONS = {
     "byte_identity": "Equal bytes of whole runs",
     "kills": "Killed and resumed runs",
     "mutations": "Mutated inputs",
+    "signals": "Stopped verbs",
     "coverage": "Coverage of the statistics",
     "shortcuts": "The geometric shortcut",
     "read": "Training reads",
