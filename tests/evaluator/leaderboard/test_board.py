@@ -190,6 +190,12 @@ def test_a_run_under_the_name_of_an_installed_policy_must_be_of_it(write: Write,
     assert not verdicts[str(own)] and "is the name of an installed policy" in verdicts[str(taken)]
 
 
+def test_two_policies_of_one_name_are_said_to_be_two(write: Write) -> None:
+    sources = [write("mine", solved(0.5, 1)), write("other", solved(0.6, 2), policy="mine", digest="e" * 64)]
+    board = leaderboard(sources, published=False)
+    assert remark(board, "2 rows of grasp (conditional) are called mine") and len(board.rows) == 2
+
+
 def test_another_simulator_is_said_loudly(write: Write) -> None:
     sources = [
         write("a", solved(0.5, 1)),
