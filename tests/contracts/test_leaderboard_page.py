@@ -90,6 +90,8 @@ def test_every_record_is_what_its_entry_gives() -> None:
 
 def test_a_sample_of_every_record_is_what_its_entry_gives() -> None:
     """A few scenarios, drawn with the record, where the simulator is the record's."""
+    if not recorded():
+        pytest.skip("no entry has a record yet")
     world = default_backend()
     here = decisive(call_in_child(world.fingerprint))
     for path in recorded():

@@ -146,6 +146,15 @@ def test_an_edited_summary_of_a_sealed_run_is_refused(write: Write) -> None:
     assert error.exit_code == 6 and 'summary.json isolation says "L3", run.json gives null' in error.message
 
 
+def test_a_run_whose_seal_was_taken_away_is_refused(write: Write) -> None:
+    folder = write("mine", solved(0.5, 1))
+    header = json.loads((folder / "run.json").read_text())
+    del header["seal"]
+    (folder / "run.json").write_text(json.dumps(header, indent=2) + "\n")
+    with pytest.raises(MissingFileError, match="is not sealed"):
+        leaderboard([folder], published=False)
+
+
 def test_a_rank_that_hangs_on_lost_episodes_is_none(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
     """Six discordant pairs decide; three lost episodes could undo them, and do no harm where the gap is wide."""
     monkeypatch.setattr("evaluator.leaderboard.eligibility.INFRA_LIMIT", 0.05)
