@@ -57,7 +57,7 @@ class TaePolicy:
     def act(self, observations: ObservationBatch) -> npt.NDArray[np.int64]:
         """Grid indices, int64 (N,)."""
         # Not of the probabilities: of a network that is sure, many round to 1, and the first of them is any of them.
-        scores = self._log_odds(observations)
+        scores = self._log_odds(observations, best=True)
         masked = np.where(observations.valid[..., : scores.shape[-1]], scores, np.float32(-np.inf))
         flat = masked.reshape(len(scores), -1)
         best = (flat >= flat.max(axis=1, keepdims=True) - TIE).argmax(axis=1)
@@ -70,7 +70,7 @@ class TaePolicy:
         probabilities: npt.NDArray[np.float32] = expit(self._log_odds(observations))
         return probabilities
 
-    def _log_odds(self, observations: ObservationBatch) -> npt.NDArray[np.float32]:
+    def _log_odds(self, observations: ObservationBatch, best: bool = False) -> npt.NDArray[np.float32]:
         kind = StepKind(Primitive(observations.primitive), Embodiment(observations.embodiment))
         scorer = self._by_skill.get(skill(kind), self._by_primitive.get(kind.primitive))
         if scorer is None:
@@ -81,4 +81,5 @@ class TaePolicy:
             )
         last = int(np.flatnonzero(observations.valid.any(axis=(0, 1, 2)))[-1])
         angles = grid.PAIR_ANGLES if last < grid.PAIR_ANGLES else grid.ANGLES
-        return scorer.log_odds(observations.scene, observations.end_effector, angles)
+        valid = observations.valid if best else None  # angles that cannot have the best action are then left out
+        return scorer.log_odds(observations.scene, observations.end_effector, angles, valid)

@@ -5,7 +5,8 @@
 
 Plain: every scene with every angle goes through the whole network, as it was trained, 16 pairs at a time. All score
 the same scenarios of the validation lists; the share of equal decisions (the same best valid action) is counted, and
-the others are named. Ours is timed in torch, and in OpenVINO where it is installed.
+the others are named. Ours is timed in torch, and in OpenVINO where it is installed; where the processor multiplies
+matrices of bfloat16, also without the first look in these, whose errors are measured at the best action of each angle.
 ``--runtimes`` also runs the decoder, most of the work, in torch.compile, ONNX Runtime and OpenVINO where they are
 installed (pip install onnx onnxscript onnxruntime openvino).
 """
@@ -30,7 +31,7 @@ from rich.table import Table
 from baselines.tae.checkpoint import load_checkpoint
 from baselines.tae.network import TaeNetwork
 from baselines.tae.rotation import turn_end_effector
-from baselines.tae.scoring import folded
+from baselines.tae.scoring import _MARGIN, _RELATIVE_MARGIN, Scorer, folded, multiplies_bfloat16
 from baselines.tae_policy import TIE, TaePolicy
 from benchmarks.results import finish, parser, target
 from evaluator.policy import ObservationBatch
@@ -94,6 +95,8 @@ def measure(checkpoint: Path, task: str, scenarios: int, repeats: int) -> dict[s
         "plain": lambda question: plain(network, question, angles),
         "ours": TaePolicy(checkpoint).act,
     }
+    if multiplies_bfloat16():
+        ways["ours, no first look"] = without_look(TaePolicy(checkpoint)).act
     if find_spec("openvino") is not None:
         ways["ours, OpenVINO"] = TaePolicy(checkpoint, "openvino").act
     decided = {name: np.concatenate([act(question) for question in asked]) for name, act in ways.items()}
@@ -114,7 +117,34 @@ def measure(checkpoint: Path, task: str, scenarios: int, repeats: int) -> dict[s
                 "equal": len(decided[name]) - len(wrong),
                 "others": [[int(n), int(decided["plain"][n]), int(decided[name][n])] for n in wrong],
             }
-    return {"task": task, "of": scenarios, "speeds": speeds, "ways": rows}
+    looked = look_errors(network, asked, angles) if multiplies_bfloat16() else None
+    return {"task": task, "of": scenarios, "speeds": speeds, "ways": rows, "look": looked}
+
+
+def without_look(policy: TaePolicy) -> TaePolicy:
+    """The same policy, whose scorers compute every angle in float32."""
+    for scorer in (*policy._by_skill.values(), *policy._by_primitive.values()):
+        scorer._rough = None
+    return policy
+
+
+def look_errors(network: TaeNetwork, asked: list[ObservationBatch], angles: int) -> dict[str, float]:
+    """How far bfloat16 is from float32 at the best valid action of an angle, and how many angles are left."""
+    scorer = Scorer(network)
+    assert scorer._rough is not None
+    every = np.arange(angles)
+    errors, left = [], []
+    for question in asked:
+        scores = scorer.log_odds(question.scene, question.end_effector, angles, question.valid)
+        left.append((~np.isneginf(scores[:, 0, 0])).sum(axis=-1))
+        for n in range(len(question)):
+            valid = np.moveaxis(question.valid[n, ..., :angles], -1, 0)
+            best = [
+                np.where(valid, part.log_odds(question.scene[n], question.end_effector[n], every), -np.inf).max((1, 2))
+                for part in (scorer._exact, scorer._rough)
+            ]
+            errors.append(np.abs(best[0] - best[1]) / (_MARGIN + _RELATIVE_MARGIN * np.abs(best[0]).max()))
+    return {"largest_error_of_margin": float(np.max(errors)), "angles_left": float(np.concatenate(left).mean())}
 
 
 def runtimes(network: TaeNetwork, folder: Path, repeats: int) -> dict[str, tuple[float, float]]:
@@ -181,6 +211,13 @@ def main() -> int:
             targets.append(target(f"{what}: equal", ">= 99.9%", f"{share:.2%}", share >= WANTED_EQUAL))
             others += [f"{what}: scenario {n} is {ours}, plain {theirs}" for n, theirs, ours in way["others"][:SHOWN]]
     tables, numbers = [table], {"found": found}
+    if any(row["look"] for row in found):
+        look = Table("task", "angles scored in float32", "largest error / margin", title="the first look in bfloat16")
+        for row in found:
+            look.add_row(
+                row["task"], f"{row['look']['angles_left']:.1f}", f"{row['look']['largest_error_of_margin']:.2f}"
+            )
+        tables.append(look)
     if arguments.runtimes:
         network, _ = load_checkpoint(next(arguments.checkpoint.glob("*.safetensors")))
         with tempfile.TemporaryDirectory() as name:

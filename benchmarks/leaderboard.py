@@ -16,6 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.results import ROOT
 from evaluator.leaderboard import leaderboard
+from evaluator.leaderboard.escape import to_markdown
 from evaluator.leaderboard.export import markdown_table, matrix
 from evaluator.protocol import PROTOCOLS
 from evaluator.run.entry import find_entries
@@ -42,7 +43,7 @@ def section() -> str:
     for protocol in PROTOCOLS:
         header, lines = matrix(board, protocol)
         if lines:
-            parts += [f"**{protocol.capitalize()}**", markdown_table(header, lines)]
+            parts += [f"**{protocol.capitalize()}**", markdown_table(header, [map(to_markdown, one) for one in lines])]
     return "\n\n".join([*parts, NOTE])
 
 

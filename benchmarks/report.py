@@ -28,6 +28,7 @@ SECTIONS = {
     "determinism": "Determinism of the world",
     "byte_identity": "Equal bytes of whole runs",
     "kills": "Killed and resumed runs",
+    "mutations": "Mutated inputs",
     "coverage": "Coverage of the statistics",
     "shortcuts": "The geometric shortcut",
     "read": "Training reads",

@@ -71,6 +71,7 @@ python benchmarks/isolation.py --run runs/random-grasp-conditional --json $resul
 python benchmarks/kills.py --json $results/kills.json
 python benchmarks/forgeries.py --json $results/forgeries.json
 python benchmarks/verify_entry.py --check --json $results/verify_entry.json
+python benchmarks/mutations.py --json $results/mutations.json
 python benchmarks/coverage.py --json $results/coverage.json
 python benchmarks/report_page.py --run runs/random-grasp-conditional --json $results/report_page.json # with Chromium
 python benchmarks/scaling.py --json $results/scaling.json

@@ -15,6 +15,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from rema_data import environment
+
 if TYPE_CHECKING:
     from rema_data import download
     from rema_data.loader.batch import FloatBatch, StepBatch
@@ -33,6 +35,9 @@ _HOMES = {
     "download": "rema_data.download",
     "load": "rema_data.loader.release",
 }
+
+
+environment.pin()
 
 
 def __getattr__(name: str) -> Any:

@@ -37,7 +37,8 @@ from torch import Tensor
 
 from rema_data.errors import InputError
 from rema_data.grid import ANGLES, EE_PIXELS, SCENE_PIXELS, VALID_MARGIN
-from rema_data.samplers.strata import column_of, table_of
+from rema_data.samplers.source import source_of
+from rema_data.samplers.strata import column_of
 from rema_data.schema import Embodiment, Primitive, StepKind
 
 __all__ = ["Augment", "Random", "Symmetry", "mirror", "rotate", "symmetry", "translate", "turn"]
@@ -172,7 +173,7 @@ class Augment:
     """
 
     def __init__(self, table: Any, *, rotate: bool = True, mirror: bool = True) -> None:
-        columns = table_of(table)
+        columns = source_of(table).table
         kinds = [column_of(columns, name).astype("category").cat for name in ("primitive", "embodiment")]
         codes = [np.asarray(kind.codes, np.int64) for kind in kinds]
         choices = [[symmetry(p, e) for e in kinds[1].categories] for p in kinds[0].categories]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
+from rema_data import environment
 from rema_data.errors import IntegrityError, MissingFileError
+from rema_data.json_files import read_json
 from rema_data.repair import reinstall, restore
 
 __all__ = ["manifests_dir", "read_manifest"]
@@ -24,9 +24,9 @@ def manifests_dir() -> Path:
     MissingFileError
         It is not a folder.
     """
-    override = os.environ.get("REMA_MANIFESTS")
+    override = environment.folder_of(environment.MANIFESTS)
     package = Path(__file__).resolve().parent
-    choices = [Path(override).expanduser()] if override else [package / "_manifests", package.parent / "manifests"]
+    choices = [override] if override else [package / "_manifests", package.parent / "manifests"]
     for folder in choices:
         if folder.is_dir():
             return folder
@@ -48,7 +48,7 @@ def read_manifest(path: Path, what: str, parse: Callable[[Any], _Read]) -> _Read
         The file does not exist, or cannot be read.
     """
     try:
-        return parse(json.loads(path.read_bytes()))
+        return parse(read_json(path))
     except FileNotFoundError:
         raise MissingFileError(f"{what} {path} does not exist", hint=restore(path), path=str(path)) from None
     except (ValueError, KeyError, TypeError, AttributeError) as error:

@@ -87,8 +87,15 @@ def delete(path: Path) -> str:
     return f"delete it: rm {shlex.quote(str(path))}"
 
 
-def storage(number: int) -> str:
-    """For a disk that is full or may not be written, by the ``errno`` of the operating system."""
+def storage(number: int, variable: str = "") -> str:
+    """For a disk that is full or may not be written, by the ``errno`` of the operating system.
+
+    ``variable`` of the environment names the folder, where one does.
+    """
+    if variable and _STORAGE.get(number) == _FULL:
+        return f"free some space, or set {variable} to a folder on another disk; then run the same command again"
+    if variable:
+        return f"set {variable} to a folder that may be written, then run the same command again"
     return _STORAGE.get(number, "choose another folder, then run the same command again")
 
 

@@ -6,6 +6,7 @@ import errno
 import hashlib
 import io
 import os
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -13,10 +14,21 @@ from pathlib import Path
 
 import platformdirs
 
-from rema_data import repair
+from rema_data import environment, repair
 from rema_data.errors import StorageError
+from rema_data.leftovers import temporary_file
 
-__all__ = ["file_sha256", "new_file", "rema_home", "storage_errors", "sync_file", "sync_folder", "write_atomic"]
+__all__ = [
+    "absolute",
+    "file_sha256",
+    "new_file",
+    "not_written",
+    "rema_home",
+    "storage_errors",
+    "sync_file",
+    "sync_folder",
+    "write_atomic",
+]
 
 _STORAGE = {
     errno.ENOSPC: "no space is left on the disk",
@@ -35,10 +47,38 @@ _STORAGE = {
 }
 
 
+def absolute(path: str | os.PathLike[str]) -> Path:
+    """A path as it is meant now, whatever folder the process works in later."""
+    return Path(os.path.expanduser(path)).absolute()
+
+
 def rema_home() -> Path:
-    """Folder of everything that can be rebuilt or fetched again: ``REMA_HOME``, else the user's cache folder."""
-    home = os.environ.get("REMA_HOME")
-    return Path(home).expanduser() if home else platformdirs.user_cache_path("rema", appauthor=False)
+    """Folder of everything that can be rebuilt or fetched again: ``REMA_HOME``, else the user's cache folder.
+
+    A user without a home folder, as in many containers, has a folder of temporary files. Raises StorageError where that
+    belongs to somebody else.
+    """
+    named = environment.folder_of(environment.HOME)
+    if named is not None:
+        return named
+    try:
+        usual = platformdirs.user_cache_path("rema", appauthor=False)
+    except RuntimeError:  # no HOME, and no entry in the list of users
+        return _home_of_nobody()
+    return usual if usual.is_absolute() else _home_of_nobody()  # as earlier versions of platformdirs say it
+
+
+def _home_of_nobody() -> Path:
+    path = Path(tempfile.gettempdir()) / f"rema-{os.getuid()}"
+    with suppress(FileNotFoundError):
+        found = os.lstat(path)
+        if found.st_uid != os.getuid() or not stat.S_ISDIR(found.st_mode):
+            raise StorageError(
+                f"this user has no home folder, and {path} is not a folder of this user",
+                hint=f"set {environment.HOME} to a folder that you may write",
+                path=str(path),
+            )
+    return path
 
 
 @contextmanager
@@ -56,10 +96,15 @@ def storage_errors(path: Path) -> Iterator[None]:
             raise
         raise StorageError(
             f"cannot write {path}: {_STORAGE[error.errno]}",
-            hint=repair.storage(error.errno),
+            hint=_way_out(path, error.errno),
             path=str(path),
             errno=error.errno,
         ) from error
+
+
+def _way_out(path: Path, number: int) -> str:
+    """The hint of an error of the disk: all that lies in the folder of rema can lie elsewhere."""
+    return repair.storage(number, environment.HOME if path.is_relative_to(rema_home()) else "")
 
 
 def file_sha256(path: Path) -> str:
@@ -88,6 +133,9 @@ def sync_folder(folder: Path) -> None:
 def new_file(path: Path) -> Iterator[io.BufferedRandom]:
     """A file under a temporary name, which becomes ``path`` when the block ends without an error.
 
+    The block checks what it has written: a file that has its name counts as right. What killed processes left for the
+    same path is removed.
+
     Raises
     ------
     StorageError
@@ -95,22 +143,34 @@ def new_file(path: Path) -> Iterator[io.BufferedRandom]:
     """
     with storage_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        temporary = Path(name)
-        try:
-            with os.fdopen(descriptor, "w+b") as file:
-                yield file
-                file.flush()
-                os.fsync(file.fileno())
-            temporary.chmod(0o644)
-            temporary.replace(path)
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
+        with temporary_file(path) as (temporary, descriptor):
+            try:
+                with open(temporary, "w+b", opener=lambda *_: descriptor) as file:
+                    yield file
+                    file.flush()
+                    os.fsync(file.fileno())
+                temporary.chmod(0o644)
+                temporary.replace(path)
+            except BaseException:
+                temporary.unlink(missing_ok=True)
+                raise
         sync_folder(path.parent)
 
 
 def write_atomic(path: Path, data: bytes | str) -> None:
-    """Write bytes, or text as UTF-8, to ``path`` as ``new_file`` does."""
+    """Write bytes, or text as UTF-8, to ``path`` as ``new_file`` does; they are read back before it has its name."""
+    content = data.encode() if isinstance(data, str) else data
     with new_file(path) as file:
-        file.write(data.encode() if isinstance(data, str) else data)
+        file.write(content)
+        file.seek(0)
+        if file.read() != content:
+            raise not_written(path)
+
+
+def not_written(path: Path, where: str = "") -> StorageError:
+    """The error about a file that reads differently from what was written to it."""
+    return StorageError(
+        f"{path} was not written: what was read back is not what was written{where and f' ({where})'}",
+        hint="run the same command again; if it happens again, check the disk or choose another folder",
+        path=str(path),
+    )

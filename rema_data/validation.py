@@ -68,7 +68,11 @@ def validated(
         ``facts["field"]`` is the first of them.
     """
     try:
-        found: T = _adapter(kind).validate_json(json.dumps(content, default=str))  # type: ignore[arg-type]
+        text = json.dumps(content, default=str)
+    except (RecursionError, ValueError) as failure:
+        raise error(f"{where}: {at or 'it'} is nested too deeply", hint=hint, path=where, field=at) from failure
+    try:
+        found: T = _adapter(kind).validate_json(text)  # type: ignore[arg-type]
         return found
     except pydantic.ValidationError as failure:
         wrong = [(_place((at, *item["loc"])), _reason(item)) for item in failure.errors(include_url=False)]

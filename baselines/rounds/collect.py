@@ -18,6 +18,7 @@ from evaluator.engines import Engine, make_engine
 from evaluator.engines.child import call_in_child
 from evaluator.runner import Backend, default_backend
 from rema_data.errors import InputError, PolicyFailureError, RunMismatchError
+from rema_data.interrupts import check
 from rema_data.progress import Progress, Silent
 from rema_data.release.folder import ReleaseFolder, find_release
 from rema_data.release.manifest import MANIFEST, parse_manifest
@@ -207,6 +208,7 @@ class _Collection:
             for chunk in (chunk for chunk in self.chunks if chunk.block == block.key):
                 writer.append(*work.read(chunk))
                 self.progress.advance(1)
+                check()
             writer.close()
         return seal(
             staging,

@@ -6,7 +6,6 @@ They are the first episodes of the collection, so only the seconds differ from r
 from __future__ import annotations
 
 import shutil
-import tempfile
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
@@ -18,6 +17,7 @@ from baselines.rounds.play import BehaviourPolicies, Player
 from baselines.rounds.work import Chunk, encoded
 from evaluator.engines import Engine, default_workers, engine_type, make_engine
 from evaluator.runner import Backend, default_backend
+from rema_data.leftovers import temporary_folder
 from rema_data.progress import Progress, Silent
 from rema_data.schema import Episode
 from rema_data.store.block import BlockWriter, encode_episodes
@@ -70,13 +70,13 @@ def estimate(
         kinds.setdefault(_kind(block), block)
     progress.phase("pilot", len(kinds) * (_WARM_UP + PILOT))
     rates: dict[Kind, _Rates] = {}
-    with tempfile.TemporaryDirectory(prefix="rema-") as folder, ExitStack() as stack:
-        policies = stack.enter_context(closing(BehaviourPolicies(plan.blocks, backend, Path(folder))))
+    with temporary_folder("rema-estimate-") as folder, ExitStack() as stack:
+        policies = stack.enter_context(closing(BehaviourPolicies(plan.blocks, backend, folder)))
         policies.start(block.key for block in kinds.values())
         running = stack.enter_context(closing(make_engine("inline", factory=backend.simulator)))
         for kind, block in kinds.items():
             player = Player(plan.seed, backend, policies.of)
-            rates[kind] = _measure(player, running, block, Path(folder), progress)
+            rates[kind] = _measure(player, running, block, folder, progress)
     count = make_engine(engine, workers, address=address).workers
     place = engine_type(engine).place
     if place == "here":

@@ -46,6 +46,7 @@ from baselines.devices import LEARNED, inference_device
 from evaluator.policy.loading import PolicySpec, check_checkpoint, resolve
 from evaluator.policy.shipped import shipped_checkpoint
 from rema_data.errors import InputError, MissingFileError, RemaError
+from rema_data.json_files import bounded_file
 from rema_data.release.licences import KNOWN_LICENCES
 from rema_data.release.manifest import check_name
 from rema_data.release.seal import Description
@@ -56,6 +57,7 @@ from rema_data.validation import record, validated
 __all__ = ["BlockPlan", "CollectionPlan", "PolicyUse", "load_plan", "read_plan", "read_toml"]
 
 _HINT = "fix the plan; examples/collect_plan.toml shows how one is written"
+_MOST_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,14 +191,16 @@ def load_plan(path: Path) -> CollectionPlan:
 def read_toml(path: Path) -> dict[str, Any]:
     """Content of a plan's file; MissingFileError without it, InputError where it is not TOML."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(bounded_file(path, _MOST_BYTES).decode("utf-8"))
     except FileNotFoundError:
         raise MissingFileError(f"there is no plan at {path}", hint="check the path", path=str(path)) from None
     except IsADirectoryError:
         raise InputError(
             f"{path} is a folder", hint="name the plan itself, such as plan.toml", path=str(path)
         ) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except RecursionError as error:
+        raise InputError(f"{path} is nested too deeply", hint="fix the file", path=str(path)) from error
+    except ValueError as error:
         raise InputError(f"{path} is not TOML: {error}", hint="fix the file", path=str(path)) from error
 
 
@@ -229,8 +233,11 @@ def read_plan(content: dict[str, Any], path: Path, checkpoint: _Networks | None 
     if not blocks:
         raise wrong(path, "rounds", "collect nothing", "give at least one round without `reuse`")
     parent = plan.parent
-    if parent is not None and (path.parent / parent).is_dir():
-        parent = str(path.parent / parent)
+    try:
+        if parent is not None and (path.parent / parent).is_dir():
+            parent = str(path.parent / parent)
+    except OSError as error:
+        raise wrong(path, "parent", f"names no folder: {error.strerror}", "check the path") from error
     about = Description(**{one.name: getattr(plan, one.name) for one in fields(Description)})
     return CollectionPlan(path, about, plan.seed, tuple(blocks), tuple(reused), parent)
 
@@ -254,6 +261,8 @@ def _policy(path: Path, where: str, use: _Policy, networks: _Networks) -> Policy
     except RemaError as error:
         message = f"{path}: {where}: {error.message}"
         raise type(error)(message, hint=error.hint, **{**error.facts, "field": where}) from error
+    except OSError as error:  # of a name that no file can have
+        raise wrong(path, where, f"names no file: {error.strerror}", "check the path") from error
     if found is None and spec.name in LEARNED:
         hint = 'name them: { code = "tae", checkpoint = "FOLDER" }'
         raise wrong(path, where, f"is {spec.name}, which has no networks of its own", hint)

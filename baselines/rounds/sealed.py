@@ -13,13 +13,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock
-
 from baselines.rounds.plan import BlockPlan, CollectionPlan
 from baselines.rounds.recursion_plan import RecursionPlan, RoundPlan, networks_folder
 from baselines.tae.checkpoint import networks_in
 from evaluator.policy.shipped import CHECKPOINTS
 from rema_data.errors import IntegrityError, RunMismatchError
+from rema_data.json_files import read_json
+from rema_data.locks import lock
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import BlockEntry
 from rema_data.storage import storage_errors, write_atomic
@@ -34,19 +34,19 @@ STAGES, PLAYERS = "stages.json", "players.json"
 def read_notes(path: Path) -> dict[str, Any]:
     """The content of a file of notes, empty without the file; IntegrityError where it is not a JSON object."""
     hint = "restore it, or delete it: its notes are then lost"
-    with storage_errors(path):
-        text = path.read_text(encoding="utf-8") if path.is_file() else "{}"
     try:
-        return validated(dict[str, Any], json.loads(text), str(path), hint=hint, error=IntegrityError)
-    except json.JSONDecodeError as error:
+        with storage_errors(path):
+            content = read_json(path) if path.is_file() else {}
+    except ValueError as error:
         raise IntegrityError(f"{path} is not JSON: {error}", hint=hint, path=str(path)) from error
+    return validated(dict[str, Any], content, str(path), hint=hint, error=IntegrityError)
 
 
 def note(path: Path, key: str, value: Any) -> None:
     """Add or replace a note, while other processes may write into the file, too; errors as in ``read_notes``."""
     with storage_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with FileLock(path.with_name(f".{path.name}.lock")):  # held for milliseconds: wait for it
+        with lock(path.with_name(f".{path.name}.lock"), wait=True):  # held for milliseconds: wait for it
             write_atomic(path, json.dumps(read_notes(path) | {key: value}, indent=1) + "\n")
 
 

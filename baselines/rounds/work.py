@@ -18,23 +18,29 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import shlex
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
-from filelock import FileLock, Timeout
+import pydantic
+from typing_extensions import TypedDict  # pydantic needs this one before Python 3.12
 
 from baselines.rounds.plan import BlockPlan
 from evaluator.run.records import Journal, read_journal
+from rema_data.bounded import npz_arrays, parquet_table
 from rema_data.errors import InputError, IntegrityError, RunMismatchError
+from rema_data.json_files import read_json
+from rema_data.locks import Busy, lock
 from rema_data.storage import storage_errors, write_atomic
 from rema_data.store.block import BlockKey, EncodedMaps
-from rema_data.store.tables import to_parquet
+from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS
+from rema_data.store.maps import ARRAYS
+from rema_data.store.tables import checked_table, to_parquet
 
 __all__ = ["CHUNK_EPISODES", "Chunk", "WorkFolder", "cut", "encoded", "work_path"]
 
@@ -45,6 +51,20 @@ Content = tuple[pa.Table, pa.Table, EncodedMaps]
 _LOG = "log"
 _TABLES = ("episodes", "steps")
 _MAPS = ("scene", "ee_row", "ee_depth", "ee_mask")
+_MOST_STEPS = 100_000
+"""Of a chunk: a line that names more is damaged."""
+_TABLE_BYTES, _ROW_BYTES = 1 << 20, 1 << 10
+"""What a table of a chunk may take as Parquet: so much, and so much more a row."""
+
+
+@pydantic.with_config(pydantic.ConfigDict(extra="forbid", strict=True))
+class _Commit(TypedDict):
+    """A line of the log."""
+
+    chunk: str
+    sha256: str
+    episodes: Annotated[int, pydantic.Field(ge=0, le=_MOST_STEPS)]
+    steps: Annotated[int, pydantic.Field(ge=0, le=_MOST_STEPS)]
 
 
 class Chunk(NamedTuple):
@@ -78,10 +98,27 @@ def encoded(content: Content) -> bytes:
     return buffer.getvalue()
 
 
-def _decoded(data: bytes) -> Content:
-    with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-        episodes, steps = (pq.read_table(pa.BufferReader(arrays[name].tobytes())) for name in _TABLES)
-        return episodes, steps, EncodedMaps(**{name: arrays[name] for name in _MAPS})
+def _decoded(data: bytes, episodes: int, steps: int) -> Content:
+    """Inverse of ``encoded`` for a chunk of so many episodes and steps; a ValueError for anything else."""
+    forms = {name: (form.dtype, form.row) for name, form in ARRAYS.items()}
+    rows = dict.fromkeys(_TABLES, ("uint8", ())) | {"ee_row": ("int32", ())} | forms
+    most = dict.fromkeys(_TABLES, _TABLE_BYTES + steps * _ROW_BYTES) | dict.fromkeys(("ee_row", *forms), steps)
+    arrays = npz_arrays(data, rows, most)
+    try:
+        tables = [
+            checked_table(parquet_table(arrays[name].tobytes(), count), columns)
+            for name, count, columns in zip(_TABLES, (episodes, steps), (EPISODE_COLUMNS, STEP_COLUMNS), strict=True)
+        ]
+    except pa.ArrowException as error:
+        raise ValueError(f"a table of it cannot be read: {error}") from error
+    maps = EncodedMaps(**{name: arrays[name] for name in _MAPS})
+    counts = (tables[0].num_rows, tables[1].num_rows, len(maps.scene), len(maps.ee_row))
+    used = maps.ee_row
+    if counts != (episodes, steps, steps, steps) or len(maps.ee_depth) != len(maps.ee_mask):
+        raise ValueError(f"it has other counts than {episodes} episodes and {steps} steps")
+    if steps and not 0 <= used.min() <= used.max() < len(maps.ee_depth):
+        raise ValueError("it points at maps that it does not have")
+    return tables[0], tables[1], maps
 
 
 def work_path(output: Path, name: str) -> Path:
@@ -95,8 +132,10 @@ class WorkFolder:
     def __init__(self, path: Path) -> None:
         self.path = path
         folder = path / _LOG
-        segments = [int(file.stem.rpartition("-")[2]) for file in folder.glob(f"{_LOG}-*.jsonl")]
-        self._committed: dict[str, str] = {row["chunk"]: row["sha256"] for _, row in read_journal(folder, _LOG)}
+        numbers = [file.stem.removeprefix(f"{_LOG}-") for file in folder.glob(f"{_LOG}-*.jsonl")]
+        segments = [int(digits) for digits in numbers if digits.isdecimal()]
+        rows = read_journal(folder, _LOG, _Commit)
+        self._committed = {row["chunk"]: _Commit(**row) for _, row in rows}  # type: ignore[typeddict-item]
         self._journal = Journal(folder, _LOG, max(segments, default=0) + 1)
 
     @staticmethod
@@ -107,27 +146,22 @@ class WorkFolder:
         ``identity`` is what decides a byte of a chunk. Raises InputError where another process collects there,
         RunMismatchError where it holds chunks of another plan, IntegrityError where a line of its log is damaged.
         """
-        with storage_errors(path):
-            path.mkdir(parents=True, exist_ok=True)
-            lock = FileLock(path / ".lock", timeout=0)
-            try:
-                lock.acquire()
-            except Timeout as error:
-                raise InputError(
-                    f"another process is collecting in {path}",
-                    hint="wait for it, or choose another folder with --output",
-                    path=str(path),
-                ) from error
-        try:
+        with ExitStack() as stack:
+            with storage_errors(path):
+                path.mkdir(parents=True, exist_ok=True)
+                try:
+                    stack.enter_context(lock(path / ".lock", hint="choose a folder on a local disk with --output"))
+                except Busy as error:
+                    raise InputError(
+                        f"another process is collecting in {path}",
+                        hint="wait for it, or choose another folder with --output",
+                        path=str(path),
+                    ) from error
             _check_owner(path, identity)
             _sweep(path)
             folder = WorkFolder(path)
-            try:
-                yield folder
-            finally:
-                folder._journal.close()
-        finally:
-            lock.release()
+            stack.callback(folder._journal.close)
+            yield folder
 
     def _file(self, chunk: Chunk) -> Path:
         return self.path / "chunks" / f"{chunk.name}.npz"
@@ -137,15 +171,15 @@ class WorkFolder:
         return self._data(chunk) is not None
 
     def _data(self, chunk: Chunk) -> bytes | None:
-        sha256 = self._committed.get(chunk.name)
-        if sha256 is None:
+        committed = self._committed.get(chunk.name)
+        if committed is None:
             return None
         with storage_errors(self._file(chunk)):
             try:
                 data = self._file(chunk).read_bytes()
             except FileNotFoundError:
                 return None
-        return data if hashlib.sha256(data).hexdigest() == sha256 else None
+        return data if hashlib.sha256(data).hexdigest() == committed["sha256"] else None
 
     def read(self, chunk: Chunk) -> Content:
         """A committed chunk; raises IntegrityError where it is not whole any more."""
@@ -156,17 +190,25 @@ class WorkFolder:
                 hint="run the same command again: it plays the chunk again",
                 path=str(self._file(chunk)),
             )
-        return _decoded(data)
+        committed = self._committed[chunk.name]
+        try:
+            return _decoded(data, committed["episodes"], committed["steps"])
+        except ValueError as error:
+            raise IntegrityError(
+                f"chunk {self._file(chunk)} is not one of this rema: {error}",
+                hint=f"delete it, and run the same command again: rm {shlex.quote(str(self._file(chunk)))}",
+                path=str(self._file(chunk)),
+            ) from error
 
     def commit(self, chunk: Chunk, content: Content) -> None:
         """Make a chunk durable, then say so in the log; StorageError where it could not be committed."""
         data = encoded(content)
         write_atomic(self._file(chunk), data)
-        sha256 = hashlib.sha256(data).hexdigest()
-        counts = {name: table.num_rows for name, table in zip(_TABLES, content[:2], strict=True)}
-        self._journal.append([{"chunk": chunk.name, "sha256": sha256, **counts}])
+        episodes, steps = (table.num_rows for table in content[:2])
+        line = _Commit(chunk=chunk.name, sha256=hashlib.sha256(data).hexdigest(), episodes=episodes, steps=steps)
+        self._journal.append([dict(line)])
         self._journal.sync()
-        self._committed[chunk.name] = sha256
+        self._committed[chunk.name] = line
 
     def staging(self) -> Path:
         """An empty folder for the blocks of the release."""
@@ -184,7 +226,7 @@ def _check_owner(path: Path, identity: Mapping[str, Any]) -> None:
     expected = json.loads(json.dumps(identity))
     if any((path / _LOG).glob(f"{_LOG}-*.jsonl")):
         try:
-            recorded = json.loads(file.read_bytes())
+            recorded = read_json(file)
         except (OSError, ValueError):
             recorded = None
         if recorded != expected:

@@ -16,23 +16,28 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import pydantic
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
+from typing_extensions import TypedDict  # pydantic needs this one before Python 3.12
 
 from baselines.tae.network import Architecture, TaeNetwork
 from evaluator.policy.load_errors import conversion_command
 from rema_data.errors import InputError, IntegrityError, MissingFileError
+from rema_data.json_files import bounded_file, checked_digest, read_json, with_digest
 from rema_data.storage import storage_errors, write_atomic
+from rema_data.validation import validated
 
 __all__ = ["FORMAT", "Checkpoint", "load_checkpoint", "networks_in", "save_checkpoint"]
 
 FORMAT = "rema tae checkpoint 1"
 WEIGHTS, CARD = ".safetensors", ".json"
 _AGAIN = "restore it (git checkout -- releases), fetch it again, or train it: rema train --help"
+_MOST_BYTES = 1 << 30
 _DTYPES = {"float32": torch.float32, "float16": torch.float16}
 
 
@@ -97,7 +102,7 @@ def save_checkpoint(folder: Path, name: str, weights: Mapping[str, Tensor], abou
     data = save(kept, {"format": FORMAT})
     done = Checkpoint(**{**_values(about), "sha256": hashlib.sha256(data).hexdigest()})
     write_atomic(folder / f"{name}{WEIGHTS}", data)
-    write_atomic(folder / f"{name}{CARD}", json.dumps(done.to_dict(), indent=1) + "\n")
+    write_atomic(folder / f"{name}{CARD}", json.dumps(with_digest(done.to_dict()), indent=1) + "\n")
     return done
 
 
@@ -129,9 +134,11 @@ def load_checkpoint(path: Path) -> tuple[TaeNetwork, Checkpoint]:
     file = stem.with_name(stem.name + WEIGHTS)
     with storage_errors(file):
         try:
-            data = file.read_bytes()
+            data = bounded_file(file, _MOST_BYTES)
         except FileNotFoundError:
             raise MissingFileError(f"there are no weights at {file}", hint=_AGAIN, path=str(file)) from None
+        except ValueError as error:
+            raise IntegrityError(f"{file} cannot be the weights of a network: {error}", hint=_AGAIN) from error
     found = hashlib.sha256(data).hexdigest()
     if found != about.sha256:
         raise IntegrityError(
@@ -173,30 +180,48 @@ def networks_in(path: Path) -> dict[str, Path]:
 def _read_card(path: Path) -> Checkpoint:
     with storage_errors(path):
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
+            content = checked_digest(read_json(path))
         except FileNotFoundError:
             raise MissingFileError(
                 f"there is no {path.name} beside the weights in {path.parent}", hint=_AGAIN, path=str(path)
             ) from None
         except ValueError as error:
-            raise IntegrityError(f"{path} is not JSON: {error}", hint=_AGAIN, path=str(path)) from error
+            raise IntegrityError(f"{path} is damaged: {error}", hint=_AGAIN, path=str(path)) from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise InputError(
             f"{path} does not describe a {FORMAT!r}", hint="name a checkpoint that rema train wrote", path=str(path)
         )
     names = {item.name for item in fields(Checkpoint)}
     values = {key: value for key, value in content.items() if key != "format"}
-    if set(values) != names or values["dtype"] not in _DTYPES or not isinstance(values["architecture"], dict):
+    if set(values) != names:
         raise InputError(
             f"{path} has other fields than {FORMAT!r}: {', '.join(sorted(set(values) ^ names))}",
             hint="install the version of rema that made it",
             path=str(path),
         )
+    validated(_Card, values, str(path), hint=_AGAIN)
     try:
         architecture = Architecture.from_dict(values["architecture"])
     except InputError as error:
         raise InputError(f"{path}: {error.message}", hint=error.hint, path=str(path)) from error
     return Checkpoint(**{**values, "skills": tuple(values["skills"]), "architecture": architecture})
+
+
+@pydantic.with_config(pydantic.ConfigDict(extra="forbid", strict=True))
+class _Card(TypedDict):
+    """The fields of a card but for its format."""
+
+    primitive: Literal["grasp", "push"]
+    skills: list[str]
+    architecture: dict[str, Any]
+    release: str
+    release_sha256: str
+    training: dict[str, Any]
+    metrics: dict[str, Any]
+    updates: pydantic.NonNegativeInt
+    commit: str
+    sha256: str
+    dtype: Literal["float32", "float16"]
 
 
 def _values(about: Checkpoint) -> dict[str, Any]:

@@ -26,6 +26,8 @@ from rema_data.errors import InputError
 
 __all__ = ["HEIGHT_SCALE_M", "Architecture", "TaeNetwork"]
 
+_WIDEST = 512
+_WIDTHS = f"a multiple of 4, at most {_WIDEST}"
 HEIGHT_SCALE_M = 0.05
 """A height of so much is a 1 for the network: objects and the end effector's slab are about as high."""
 
@@ -56,7 +58,7 @@ class Architecture:
 
     def __post_init__(self) -> None:
         checks = {
-            "width": (isinstance(self.width, int) and self.width > 0 and self.width % 4 == 0, "a multiple of 4"),
+            "width": (type(self.width) is int and 0 < self.width <= _WIDEST and self.width % 4 == 0, _WIDTHS),
             "scene_stride": (self.scene_stride in (2, 4), "2 or 4"),
             "ee_stride": (self.ee_stride in (2, 4), "2 or 4"),
             "up_align_corners": (isinstance(self.up_align_corners, bool), "true or false"),

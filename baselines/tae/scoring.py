@@ -3,6 +3,9 @@
 The scene is encoded once for all angles, an end effector once for all scenes that it meets; bare hands, which most
 steps have, keep their kernels. Hands that look the same turned by half, as bare ones do, are scored at half of the
 angles. Batch normalisation is folded into the convolutions. All of it gives the same numbers up to rounding.
+
+Where only the best action is wanted, and the processor multiplies matrices of bfloat16, a first look in these decides
+which angles can have it: about two of sixteen. Only they are scored in float32, so the answer is that of float32.
 """
 
 from __future__ import annotations
@@ -22,12 +25,16 @@ from baselines.tae.openvino import OPENVINO, compiled
 from baselines.tae.rotation import turn_end_effector
 from rema_data.grid import ANGLES, SCENE_PIXELS
 
-__all__ = ["Scorer"]
+__all__ = ["Scorer", "multiplies_bfloat16"]
 
 _PAIRS = 8
 """Scenes and angles that are decoded at a time: what is computed meanwhile fits the processor's caches."""
 _KEPT_HANDS = 8
 """End effectors whose kernels are kept."""
+_MARGIN, _RELATIVE_MARGIN = 0.5, 1 / 32
+"""How far in log odds an angle may lie below the best one at the first look, absolutely and as a share of the best.
+
+`benchmarks/infer.py` measures the errors of bfloat16: a small part of it."""
 
 
 class Scorer:
@@ -47,14 +54,20 @@ class Scorer:
     """
 
     def __init__(self, network: TaeNetwork, device: str = "cpu") -> None:
-        self._device = torch.device("cpu" if device == OPENVINO else device)
-        placed = folded(network).placed(self._device)
-        self._network = compiled(placed) if device == OPENVINO else placed
-        self._kernels: OrderedDict[tuple[bytes, int], Tensor] = OrderedDict()
+        where = torch.device("cpu" if device == OPENVINO else device)
+        placed = folded(network).placed(where)
+        # One kernel at a time: it must not depend on which others are computed with it.
+        self._exact = _Part(compiled(placed) if device == OPENVINO else placed, where, torch.float32, 1)
+        self._rough = None
+        if where.type == "cpu" and multiplies_bfloat16():
+            self._rough = _Part(copy.deepcopy(placed).to(torch.bfloat16), where, torch.bfloat16, _PAIRS)
 
-    @torch.inference_mode()
     def log_odds(
-        self, scene: npt.NDArray[np.float32], end_effector: npt.NDArray[np.float32], angles: int
+        self,
+        scene: npt.NDArray[np.float32],
+        end_effector: npt.NDArray[np.float32],
+        angles: int,
+        valid: npt.NDArray[np.bool_] | None = None,
     ) -> npt.NDArray[np.float32]:
         """Log odds of success of every action: the logit of success less that of failure.
 
@@ -66,42 +79,76 @@ class Scorer:
             As in ``ObservationBatch``. Equal ones are encoded once.
         angles : int
             The first so many angles: 16, or 8 for two hands.
+        valid : bool (N, 64, 64, >= angles), optional
+            Where only the best of these actions is wanted: angles that cannot have it may be left out, as -inf.
 
         Returns
         -------
         float32 (N, 64, 64, angles)
         """
-        count = len(scene)
-        scenes = torch.from_numpy(np.ascontiguousarray(scene)).to(self._device)[:, None]
-        features = self._network.encode_scene(scenes.contiguous(memory_format=torch.channels_last))
-        scores = torch.empty((count, angles, SCENE_PIXELS, SCENE_PIXELS), device=self._device)
+        scores = np.full((len(scene), angles, SCENE_PIXELS, SCENE_PIXELS), -np.inf, np.float32)
+        half = ANGLES // 2
         for members, hand in _groups(end_effector):
-            half = ANGLES // 2
             distinct = half if angles == ANGLES and np.array_equal(hand, hand[::-1, ::-1]) else angles
-            kernels = self._kernels_of(hand, distinct)
             for n in members:
-                for first in range(0, distinct, _PAIRS):
-                    part = kernels[first : first + _PAIRS]
-                    logits = self._network.decode(features[n : n + 1].expand(len(part), -1, -1, -1), part)
-                    scores[n, first : first + _PAIRS] = logits[:, 1] - logits[:, 0]
+                chosen = np.arange(distinct)
+                if valid is not None and self._rough is not None:
+                    allowed = np.moveaxis(valid[n, ..., :angles], -1, 0).reshape(-1, distinct, SCENE_PIXELS**2)
+                    rough = self._rough.log_odds(scene[n], hand, chosen).reshape(distinct, -1)
+                    best = np.where(allowed.any(axis=0), rough, -np.inf).max(axis=1)
+                    chosen = np.flatnonzero(best >= best.max() - _MARGIN - _RELATIVE_MARGIN * abs(best.max()))
+                scores[n, chosen] = self._exact.log_odds(scene[n], hand, chosen)
                 if distinct < angles:
                     scores[n, half:] = scores[n, :half]
-        result: npt.NDArray[np.float32] = scores.movedim(1, -1).cpu().numpy()
-        return result
+        return np.ascontiguousarray(np.moveaxis(scores, 1, -1))
 
-    def _kernels_of(self, hand: npt.NDArray[np.float32], angles: int) -> Tensor:
-        """Kernels of one end effector at the first angles, float32 (angles, C, S, S)."""
-        key = (hashlib.sha256(np.ascontiguousarray(hand).data).digest(), angles)
-        if key not in self._kernels:
-            planes = torch.from_numpy(np.ascontiguousarray(np.moveaxis(hand, -1, 0))).to(self._device)
-            turned = turn_end_effector(planes.expand(angles, -1, -1, -1), torch.arange(angles, device=self._device))
-            turned = turned.contiguous(memory_format=torch.channels_last)
-            parts = [self._network.encode_end_effector(piece) for piece in torch.split(turned, _PAIRS)]
-            self._kernels[key] = torch.cat(parts)
-            if len(self._kernels) > _KEPT_HANDS:
-                self._kernels.popitem(last=False)
+
+class _Part:
+    """A network that computes in one type of numbers, and the kernels of the last end effectors."""
+
+    def __init__(self, network: TaeNetwork, device: torch.device, dtype: torch.dtype, at_once: int) -> None:
+        self._network, self._device, self._dtype, self._at_once = network, device, dtype, at_once
+        self._kernels: OrderedDict[bytes, dict[int, Tensor]] = OrderedDict()
+
+    @torch.inference_mode()
+    def log_odds(
+        self, scene: npt.NDArray[np.float32], hand: npt.NDArray[np.float32], chosen: npt.NDArray[np.int64]
+    ) -> npt.NDArray[np.float32]:
+        """Log odds float32 (angles, 64, 64) of one scene with one end effector at some angles."""
+        features = self._network.encode_scene(self._placed(scene[None, None]))
+        kernels = self._kernels_of(hand, chosen)
+        parts = [
+            self._network.decode(features.expand(len(some), -1, -1, -1), some) for some in torch.split(kernels, _PAIRS)
+        ]
+        logits = torch.cat(parts).float()
+        found: npt.NDArray[np.float32] = (logits[:, 1] - logits[:, 0]).cpu().numpy()
+        return found
+
+    def _kernels_of(self, hand: npt.NDArray[np.float32], chosen: npt.NDArray[np.int64]) -> Tensor:
+        """Kernels of one end effector at some angles, (angles, C, S, S)."""
+        key = hashlib.sha256(np.ascontiguousarray(hand).data).digest()
+        kept = self._kernels.setdefault(key, {})
         self._kernels.move_to_end(key)
-        return self._kernels[key]
+        if len(self._kernels) > _KEPT_HANDS:
+            self._kernels.popitem(last=False)
+        missing = [angle for angle in chosen.tolist() if angle not in kept]
+        if missing:
+            planes = self._placed(np.moveaxis(hand, -1, 0)[None], torch.float32)
+            turned = turn_end_effector(planes.expand(len(missing), -1, -1, -1), torch.tensor(missing).to(planes.device))
+            laid = turned.to(self._dtype).contiguous(memory_format=torch.channels_last)
+            made = [self._network.encode_end_effector(some) for some in torch.split(laid, self._at_once)]
+            kept.update(zip(missing, torch.split(torch.cat(made), 1), strict=True))
+        return torch.cat([kept[angle] for angle in chosen.tolist()])
+
+    def _placed(self, maps: npt.NDArray[np.float32], dtype: torch.dtype | None = None) -> Tensor:
+        tensor = torch.from_numpy(np.ascontiguousarray(maps)).to(self._device, dtype or self._dtype)
+        return tensor.contiguous(memory_format=torch.channels_last)
+
+
+def multiplies_bfloat16() -> bool:
+    """Whether this processor has units for matrices of bfloat16 (AMX), with which they are many times faster."""
+    supported = getattr(torch.cpu, "_is_amx_tile_supported", None)
+    return bool(supported and supported())
 
 
 def folded(network: TaeNetwork) -> TaeNetwork:

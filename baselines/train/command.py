@@ -2,24 +2,44 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from evaluator.cli.options import device_option, json_option
-from evaluator.cli.output import line, print_json
+from evaluator.cli.output import print_json
 from rema_data.schema import Primitive
+
+if TYPE_CHECKING:
+    from baselines.train.result import Trained
 
 __all__ = ["train"]
 
 _SHAPE = ("width", "scene_stride", "ee_stride", "up_align_corners", "correlation_scale")
 """Options that are fields of the architecture."""
+_MOST_SEEDS = 1000
 
 
 def _names(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[str, ...]:
     """Names separated by commas."""
     return tuple(name.strip() for name in (value or "").split(",") if name.strip())
+
+
+def _seeds(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[int, ...]:
+    """Numbers and ranges separated by commas."""
+    found: list[int] = []
+    for part in _names(context, parameter, value):
+        match = re.fullmatch(r"(\d{1,9})(?:-(\d{1,9}))?", part)
+        numbers = range(int(match[1]), int(match[2] or match[1]) + 1) if match else range(0)
+        if not 0 < len(numbers) <= _MOST_SEEDS:
+            raise click.BadParameter(f"{part!r} is not a number or a short range, such as 0-2 or 0,3")
+        found.extend(numbers)
+    if len(set(found)) != len(found):
+        raise click.BadParameter("a seed is named twice")
+    return tuple(found)
 
 
 @click.command()
@@ -38,6 +58,14 @@ def _names(context: click.Context, parameter: click.Parameter, value: str | None
 @click.option("--rotate/--no-rotate", default=True, show_default=True, help="Turn grasps.")
 @click.option("--mirror/--no-mirror", default=True, show_default=True, help="Mirror pushes.")
 @click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--seeds", callback=_seeds, metavar="0-2", help="One training a seed, each in OUTPUT/seed-N.")
+@click.option(
+    "--precision",
+    type=click.Choice(["float32", "bfloat16"]),
+    default="float32",
+    show_default=True,
+    help="Of the layers while they learn; weights are float32.",
+)
 @click.option("--validate-every", type=int, default=2_000, show_default=True, help="Updates between two validations.")
 @click.option("--validation-steps", type=int, default=1_000, show_default=True)
 @click.option("--width", type=int, default=64, show_default=True, help="Channels of the widest layers.")
@@ -55,6 +83,7 @@ def train(
     name: str | None,
     device: str,
     deterministic: bool,
+    seeds: tuple[int, ...],
     pictures: Path | None,
     as_json: bool,
     **values: Any,
@@ -63,6 +92,7 @@ def train(
 
     To resume a training that was stopped or killed, from its last saved state, run the same command again. The
     weights with the best validation AUC become OUTPUT/NAME.safetensors, with a JSON file that says what they are.
+    With --seeds, --json prints a list.
     """
     from baselines.devices import training_device
     from baselines.train.config import TrainingConfig
@@ -72,30 +102,41 @@ def train(
     from rema_data.loader.release import load
     from rema_data.validation import validated
 
+    if seeds and pictures is not None:
+        raise click.UsageError("--pictures draws the maps of one network: give --seed in place of --seeds")
     values["architecture"] = {field: values.pop(field) for field in _SHAPE}
-    config = validated(TrainingConfig, values, "rema train", hint="see rema train --help")
-    chosen = name or config.primitive
+    first = validated(TrainingConfig, values, "rema train", hint="see rema train --help")
+    chosen = name or first.primitive
     check_network_name(chosen)
     training_device(device)  # before a release is fetched from its files
     if pictures is not None:
         from baselines.train.pictures import require_matplotlib
 
         require_matplotlib()
+    trainings = {output / f"seed-{seed}": replace(first, seed=seed) for seed in seeds} or {output: first}
+    results = []
     with StderrProgress() as progress:
         opened = load(release)
-        done = run(opened, config, output, chosen, device=device, deterministic=deterministic, progress=progress)
+        for folder, config in trainings.items():
+            done = run(opened, config, folder, chosen, device=device, deterministic=deterministic, progress=progress)
+            results.append(done)
+            if not as_json:
+                progress.result(_sentence(done))
     if pictures is not None:
         from baselines.tae.checkpoint import load_checkpoint
         from baselines.train.data import open_data
         from baselines.train.pictures import draw_maps
 
-        draw_maps(load_checkpoint(output / chosen)[0], open_data(opened, config).validation, pictures)
+        draw_maps(load_checkpoint(output / chosen)[0], open_data(opened, first).validation, pictures)
     if as_json:
-        print_json(done.checkpoint.to_dict())
-        return
+        cards = [done.checkpoint.to_dict() for done in results]
+        print_json(cards if seeds else cards[0])
+
+
+def _sentence(done: Trained) -> str:
     measures = done.checkpoint.metrics
     how = "was there" if done.already else "is trained"
-    line(
+    return (
         f"{done.folder / done.name}.safetensors {how}: validation AUC {measures['auc']:.3f}, balanced accuracy "
         f"{measures['balanced_accuracy']:.1%} after {done.checkpoint.updates:,} updates"
     )

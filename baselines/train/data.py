@@ -77,6 +77,8 @@ def open_data(release: Release, config: TrainingConfig) -> TrainingData:
         on_empty=config.on_empty,
         seed=config.seed,
         rotate=True,
+        rank=0,
+        world_size=1,
     )
     return TrainingData(train, val.select(_balanced(val, config.validation_steps)), sampler)
 

@@ -22,6 +22,7 @@ from baselines.train.result import DIVERGED, DivergedError, Trained, check_netwo
 from baselines.train.state import TrainingState, locked, read_state, state_path, write_state
 from baselines.train.validation import pixel_logits, validate
 from evaluator.run.environment import code_commit, source_digest
+from rema_data import interrupts
 from rema_data.augment import Augment
 from rema_data.loader.release import Release
 from rema_data.progress import Progress, Silent
@@ -115,6 +116,7 @@ class _Training:
         batches = self.data.batches()
         started, waiting, before = time.perf_counter(), 0.0, self.update
         while self.update < self.config.updates:
+            interrupts.check()
             asked = time.perf_counter()
             samples = prepared(next(batches), self.augment, self.random, self.device)
             waiting += time.perf_counter() - asked
@@ -138,7 +140,9 @@ class _Training:
         """One update; the loss, still on the device."""
         for group in self.optimiser.param_groups:
             group["lr"] = self.config.learning_rate * self.rate()
-        pair = pixel_logits(self.network(samples.scene, samples.end_effector), samples.pixel)
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.precision == "bfloat16"):
+            logits = self.network(samples.scene, samples.end_effector)
+        pair = pixel_logits(logits, samples.pixel).float()
         loss = torch.nn.functional.cross_entropy(pair, samples.success.long())
         self.optimiser.zero_grad()
         torch.autograd.backward(loss)

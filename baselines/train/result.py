@@ -13,7 +13,7 @@ from baselines.train.config import TrainingConfig
 from baselines.train.state import state_path
 from rema_data.errors import InputError, IntegrityError, MissingFileError, RemaError, RunMismatchError
 from rema_data.loader.release import Release
-from rema_data.validation import plain
+from rema_data.validation import validated
 
 __all__ = ["DIVERGED", "NAME", "DivergedError", "Trained", "check_network_name", "trained"]
 
@@ -58,7 +58,7 @@ def trained(release: Release, config: TrainingConfig, folder: Path, name: str) -
         files = " ".join(shlex.quote(str(folder / f"{name}{end}")) for end in (".json", ".safetensors"))
         hint = f"delete it to train it again: rm -f {files}; or choose another --output or --name"
         raise type(error)(error.message, hint=hint, path=str(folder / name)) from error
-    if about.release_sha256 != release.fingerprint or about.training != plain(config):
+    if about.release_sha256 != release.fingerprint or _configured(about, folder / name) != config:
         raise RunMismatchError(
             f"{folder / name} is a network of another training (release {about.release}, {about.updates:,} updates)",
             hint="choose another --output or --name",
@@ -66,3 +66,8 @@ def trained(release: Release, config: TrainingConfig, folder: Path, name: str) -
         )
     shutil.rmtree(state_path(folder, name), ignore_errors=True)
     return Trained(folder, name, about, already=True)
+
+
+def _configured(about: Checkpoint, path: Path) -> TrainingConfig:
+    """The configuration on a card; a card of an earlier version lacks the newest fields, which have a default."""
+    return validated(TrainingConfig, about.training, f"{path}.json", hint="choose another --output or --name")

@@ -11,15 +11,17 @@ import json
 import os
 import socket
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from filelock import FileLock, Timeout
+from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
 from rema_data.errors import InputError, RunMismatchError
+from rema_data.json_files import checked_digest, read_json, with_digest
+from rema_data.locks import Busy, lock
 from rema_data.storage import storage_errors, write_atomic
 from rema_data.validation import plain, record, validated
 
@@ -52,23 +54,21 @@ class _Card:
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
     """Lock the folder of a training, created where it is missing; InputError says which process works there."""
-    with storage_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        lock, owner = FileLock(folder / ".lock", timeout=0), folder / "owner.txt"
-        try:
-            lock.acquire()
-        except Timeout as error:
-            user = owner.read_text(encoding="utf-8") if owner.is_file() else "another process"
-            raise InputError(
-                f"{user} is working on this training: {folder}",
-                hint="wait for it, or choose another --output or --name",
-                path=str(folder),
-            ) from error
-    try:
+    owner = folder / "owner.txt"
+    with ExitStack() as stack:
+        with storage_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            try:
+                stack.enter_context(lock(folder / ".lock", hint="choose a folder on a local disk with --output"))
+            except Busy as error:
+                user = owner.read_text(encoding="utf-8") if owner.is_file() else "another process"
+                raise InputError(
+                    f"{user} is working on this training: {folder}",
+                    hint="wait for it, or choose another --output or --name",
+                    path=str(folder),
+                ) from error
         write_atomic(owner, f"process {os.getpid()} on {socket.gethostname()}")
         yield
-    finally:
-        lock.release()
 
 
 def write_state(folder: Path, identity: Mapping[str, Any], state: TrainingState) -> None:
@@ -77,7 +77,7 @@ def write_state(folder: Path, identity: Mapping[str, Any], state: TrainingState)
     card = _Card(dict(identity), state.update, hashlib.sha256(data).hexdigest(), state.facts)
     stem = f"state-{state.update:08d}"
     write_atomic(folder / f"{stem}.safetensors", data)
-    write_atomic(folder / f"{stem}.json", json.dumps(plain(card)) + "\n")
+    write_atomic(folder / f"{stem}.json", json.dumps(with_digest(plain(card))) + "\n")
     with storage_errors(folder):
         for path in folder.glob("state-*"):
             if path.stem != stem:
@@ -88,7 +88,7 @@ def read_state(folder: Path, identity: Mapping[str, Any]) -> TrainingState | Non
     """The newest whole state in a folder, or None; RunMismatchError where it belongs to another training."""
     for path in sorted(folder.glob("state-*.json"), reverse=True):
         try:
-            card = validated(_Card, json.loads(path.read_text(encoding="utf-8")), str(path))
+            card = validated(_Card, checked_digest(read_json(path)), str(path))
             data = path.with_suffix(".safetensors").read_bytes()
         except (OSError, ValueError):
             continue
@@ -102,5 +102,8 @@ def read_state(folder: Path, identity: Mapping[str, Any]) -> TrainingState | Non
                 path=str(folder),
                 differences=names,
             )
-        return TrainingState(card.update, load(data), card.facts)
+        try:
+            return TrainingState(card.update, load(data), card.facts)
+        except (SafetensorError, KeyError):
+            continue
     return None

@@ -13,6 +13,7 @@ from torch import Tensor
 from baselines.tae.network import TaeNetwork
 from baselines.train.data import prepared
 from baselines.train.result import DivergedError
+from rema_data.interrupts import check
 from rema_data.loader.batch import StepBatch
 from rema_data.loader.dataset import StepDataset
 
@@ -40,6 +41,7 @@ def validate(network: TaeNetwork, data: StepDataset, device: torch.device) -> di
     unused = torch.Generator()
     scores = []
     for start in range(0, len(data), _BATCH):
+        check()
         batch = data[start : start + _BATCH]
         assert isinstance(batch, StepBatch)
         samples = prepared(batch, None, unused, device)

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from evaluator.cli.main import cli
+from evaluator.cli.start import main
 
-cli(prog_name="rema")
+main()

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rich.cells import cell_len
-
-from evaluator.cli.output import line, print_table, styled, terminal_width
+from evaluator.cli.output import line, print_table, styled
 from evaluator.leaderboard import Board, Row
 from evaluator.leaderboard.export import COLUMNS, cells, titled_groups
 
@@ -17,7 +15,6 @@ _IN_TITLE = ("task", "protocol")
 _NUMBERS = ("rank", "k/n", "rate %", "z")
 _OPTIONAL = ("failures", "sandbox", "errors", "funnel %", "z", "end-to-end %", "rank", "tag", "ties")
 """Columns that a narrow terminal does without, the first one first."""
-_GAP = 2
 _LOUD = ("ANOTHER SIMULATOR", "LEFT OUT", "NOT VERIFIED")
 
 
@@ -42,13 +39,7 @@ def _print_group(title: str, rows: Sequence[Row]) -> set[str]:
     shown = [
         name for name in COLUMNS if name not in _IN_TITLE and any(record[name] not in ("", "-") for record in records)
     ]
-    widths = {name: max(cell_len(record[name]) for record in [*records, {name: name}]) for name in shown}
-    hidden = set()
-    for name in _OPTIONAL:
-        if name in shown and sum(widths[column] + _GAP for column in shown) - _GAP > terminal_width():
-            shown.remove(name)
-            hidden.add(name)
-    print_table(
+    return print_table(
         shown,
         (
             styled((record[name] for name in shown), _STYLES.get(row.tag, ""))
@@ -56,5 +47,5 @@ def _print_group(title: str, rows: Sequence[Row]) -> set[str]:
         ),
         title=title,
         right=_NUMBERS,
+        optional=_OPTIONAL,
     )
-    return hidden

@@ -49,7 +49,7 @@ def _print(report: PolicyReport) -> None:
     seen = ", sees the ground truth" if report.privileged else ""
     line(f"{report.policy} ({report.class_name} in {report.file}){seen}", "bold")
     rows = [(Text(one.status, style=_STYLES[one.status]), one.name, one.found) for one in report.results]
-    print_table(("", "", ""), rows)
+    print_table(("state", "check", "found"), rows, header=False)
     for result in report.results:
         if result.fix:
             line(f"to fix {result.name}: {result.fix}", "yellow")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,9 +24,10 @@ __all__ = ["download"]
 @click.option("--jobs", type=click.IntRange(1, 64), default=8, show_default=True, help="Files at a time.")
 @click.option("--manifest", type=click.Path(path_type=Path), metavar="FILE", help="Of a release not published here.")
 @click.option("--offline", is_flag=True, help="Ask only folders of this machine. REMA_OFFLINE=1 does the same.")
+@click.option("--verify", is_flag=True, help="Rehash the files that are here, and fetch damaged ones again.")
 @click.option("--dry-run", is_flag=True, help="Print what would be fetched, and touch nothing.")
 @json_option
-def download(release: str | None, as_json: bool, **options: Any) -> None:
+def download(release: str | None, verify: bool, as_json: bool, **options: Any) -> None:
     """Fetch RELEASE (the newest by default), or a part of it, into REMA_HOME.
 
     Every file is checked by its sha256 before it gets its name. A download that was stopped goes on at the byte where
@@ -38,11 +40,11 @@ def download(release: str | None, as_json: bool, **options: Any) -> None:
     from rema_data.download import download as fetch
 
     with StderrProgress(in_bytes=True) as progress:
-        report = fetch(release, progress=progress, **options)
-    print_answer(report, as_json, _print)
+        report = fetch(release, progress=progress, verify=verify, **options)
+    print_answer(report, as_json, partial(_print, verified=verify))
 
 
-def _print(report: DownloadReport) -> None:
+def _print(report: DownloadReport, verified: bool) -> None:
     from rich.filesize import decimal
 
     if report.dry_run:
@@ -54,7 +56,8 @@ def _print(report: DownloadReport) -> None:
         if report.sources:
             line(f"sources: {', '.join(f'{number} from {label}' for label, number in report.sources.items())}")
     else:
-        line(f"{report.name}: nothing to fetch, {present}")
+        how = "rehashed, all right" if verified else "with the right sizes; --verify rehashes them"
+        line(f"{report.name}: nothing to fetch, {present}, {how}")
     line(str(report.path))
 
 

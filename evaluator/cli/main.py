@@ -1,7 +1,8 @@
 """The ``rema`` command: finds a verb, and turns errors into a sentence and an exit code.
 
 Exit codes: 0 ok, 1 bug, 2 usage or bad input, 3 submission invalid, 4 policy failed on too many episodes,
-5 infrastructure errors above the limit, 6 verification mismatch, 130 interrupted (resumable).
+5 infrastructure errors above the limit, 6 verification mismatch, 130, 143 or 129 interrupted by SIGINT, SIGTERM or
+SIGHUP (run the same command again).
 """
 
 from __future__ import annotations
@@ -12,18 +13,14 @@ import importlib
 import importlib.metadata
 import io
 import logging
-import signal
 import sys
-import threading
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
-from types import FrameType
 from typing import Any, NamedTuple
 
 import click
 
 from evaluator.cli.output import note
+from rema_data import interrupts
 from rema_data.errors import InputError, RemaError
 
 __all__ = ["VERBS", "Verb", "cli"]
@@ -86,7 +83,8 @@ class _Verbs(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         _prepare_streams()
         try:
-            with _stop_signals():
+            with interrupts.listening():
+                interrupts.check()
                 return super().invoke(ctx)
         except RemaError as error:
             note(f"rema: {error}")
@@ -97,11 +95,11 @@ class _Verbs(click.Group):
             place = "" if error.filename is None else f": {error.filename}"
             note(f"rema: the system refused: {error.strerror or error}{place}")
             ctx.exit(InputError.exit_code)
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as error:
             atexit.register(_say_no_more)
             end = " to resume" if ctx.invoked_subcommand in RESUMED else ""
             note(f"\nrema: interrupted; run the same command again{end}")
-            ctx.exit(INTERRUPTED)
+            ctx.exit(error.exit_code if isinstance(error, interrupts.Interrupted) else INTERRUPTED)
 
 
 def _say_no_more() -> None:
@@ -116,28 +114,6 @@ def _prepare_streams() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-
-
-@contextmanager
-def _stop_signals() -> Iterator[None]:
-    """Ctrl-C, ``kill`` and a closed terminal interrupt once: cleaning up takes seconds and must finish."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        for kind in kinds:
-            signal.signal(kind, signal.SIG_IGN)
-        raise KeyboardInterrupt
-
-    kinds = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
-    kinds = [kind for kind in kinds if signal.getsignal(kind) is not signal.SIG_IGN]  # nohup stays nohup
-    before = {kind: signal.signal(kind, interrupt) for kind in kinds}
-    try:
-        yield
-    finally:
-        for kind, handler in before.items():
-            signal.signal(kind, handler)
 
 
 def _print_version(ctx: click.Context, parameter: click.Parameter, asked: bool) -> None:

@@ -1,7 +1,8 @@
 """What every verb prints: tables and colours on a terminal; plain text, one record a line, into a pipe or a file.
 
-Nothing is wrapped here, whatever the width: a terminal wraps a long line itself, so that a path, a digest or a command
-is whole when it is copied. Only this module makes a rich console.
+Nothing is wrapped or cut here, whatever the width: a terminal wraps a long line itself, so that a path, a digest or a
+command is whole when it is copied. A table that is wider than the terminal leaves columns out, or becomes records. Only
+this module makes a rich console.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ __all__ = [
 ]
 
 _NO_LIMIT = 1_000_000
+_GAP = 2
+"""Blanks between two columns."""
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
 
@@ -106,31 +109,97 @@ def print_table(
     *,
     title: str = "",
     right: Collection[str] = (),
-) -> None:
-    """Print a table, every row on one line; ``right`` names the columns that are aligned to the right.
+    header: bool = True,
+    optional: Sequence[str] = (),
+) -> set[str]:
+    """Print a table, every row on one line; return the columns that found no room.
 
-    A table whose titles are all empty has no header. A row that is None is a gap between two rows, on a terminal.
+    A terminal that is too narrow does without the ``optional`` columns, the first one first; where that is not enough,
+    every row becomes a record of all its values, one a line. So no value is ever cut.
+
+    Parameters
+    ----------
+    columns : sequence of str
+        Their names; a column without a name has none in a record either.
+    rows : iterable
+        One sequence of cells a row; None is a gap between two rows, on a terminal.
+    right : collection of str
+        Names of the columns that are aligned to the right.
+    header : bool
+        Whether the table begins with the names.
     """
+    from rich.text import Text
+
+    names = [" ".join(name.split("\n")) for name in columns]
+    table = [
+        None
+        if row is None
+        else [Text(" ").join((plain(cell) if isinstance(cell, str) else cell).split("\n")) for cell in row]
+        for row in rows
+    ]
+    header = header and any(names)
+    widths = [
+        max([len(name) if header else 0, *(row[at].cell_len for row in table if row is not None)])
+        for at, name in enumerate(names)
+    ]
+    hidden: set[str] = set()
+
+    def too_wide() -> bool:
+        shown = [width + _GAP for name, width in zip(names, widths, strict=True) if name not in hidden]
+        return sum(shown) - _GAP > terminal_width()
+
+    for name in optional:
+        if name in names and too_wide():
+            hidden.add(name)
+    if title:
+        line(title, "bold")
+    if too_wide():
+        _print_records(names, table)
+        return set()
+    places = [at for at, name in enumerate(names) if name not in hidden]
+    shown = [None if row is None else [row[at] for at in places] for row in table]
+    _print_grid([names[at] for at in places], shown, {" ".join(name.split("\n")) for name in right}, header)
+    return hidden
+
+
+def _print_grid(
+    names: Sequence[str], rows: Sequence[Sequence[Text] | None], right: Collection[str], header: bool
+) -> None:
     from rich import box
     from rich.table import Table
     from rich.text import Text
 
     out = console()
-    frame, gap = (box.SIMPLE_HEAD, 1) if out.is_terminal else (None, 2)
-    table = Table(box=frame, padding=(0, gap, 0, 0), show_edge=False, pad_edge=False, show_header=any(columns))
-    for name in columns:
-        table.add_column(name, justify="right" if name in right else "left", no_wrap=True)
+    frame, gap = (box.SIMPLE_HEAD, _GAP - 1) if out.is_terminal else (None, _GAP)
+    grid = Table(box=frame, padding=(0, gap, 0, 0), show_edge=False, pad_edge=False, show_header=header)
+    for name in names:
+        grid.add_column(name, justify="right" if name in right else "left", no_wrap=True)
     for row in rows:
         if row is None:
-            table.add_section()
-            continue
-        cells = [plain(cell) if isinstance(cell, str) else cell for cell in row]
-        table.add_row(*(Text(" ").join(cell.split("\n")) for cell in cells))
-    if title:
-        line(title, "bold")
-    for segments in out.render_lines(table, out.options.update(width=_NO_LIMIT), pad=False):
+            grid.add_section()
+        else:
+            grid.add_row(*row)
+    for segments in out.render_lines(grid, out.options.update(width=_NO_LIMIT), pad=False):
         text = Text.assemble(*((segment.text, segment.style or "") for segment in segments))
         text.rstrip()
         line(text)
     if out.is_terminal:
         line("")
+
+
+def _print_records(names: Sequence[str], rows: Iterable[Sequence[Text] | None]) -> None:
+    """One value a line beside its name; below it where both have no room, so that the terminal does not break it."""
+    from rich.text import Text
+
+    wide = max(map(len, names))
+    for row in rows:
+        for name, cell in zip(names, row or (), strict=row is not None):
+            if not name:
+                line(cell)
+            elif cell.cell_len and wide + _GAP + cell.cell_len > terminal_width():
+                line(name, "dim")
+                line(cell)
+            elif cell.cell_len:
+                line(Text.assemble((f"{name:<{wide}}", "dim"), " " * _GAP, cell))
+        if row:
+            line("")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Iterable
 from types import TracebackType
 from typing import Self
 
@@ -20,6 +21,7 @@ from rich.progress import (
     TimeRemainingColumn,
     TransferSpeedColumn,
 )
+from rich.table import Table
 from rich.text import Text
 
 from evaluator.cli import output
@@ -27,6 +29,7 @@ from evaluator.cli import output
 __all__ = ["StderrProgress"]
 
 _LINE_EVERY_S = 30.0
+_LEAST_BAR = 8
 
 
 class _Rate(ProgressColumn):
@@ -35,6 +38,30 @@ class _Rate(ProgressColumn):
     def render(self, task: Task) -> Text:
         speed = task.finished_speed or task.speed
         return Text("" if speed is None else f"{speed:,.1f}/s", style="progress.data.speed")
+
+
+class _Bars(Progress):
+    """Bars whose numbers are never cut: a narrow terminal does without the bar, the detail, the time or the rate."""
+
+    def make_tasks_table(self, tasks: Iterable[Task]) -> Table:
+        tasks, whole = list(tasks), self.columns
+        description, bar, _, rate, left, detail = whole
+        dispensable = [bar, detail, left, rate, description]
+
+        def width(column: ProgressColumn | str) -> int:
+            if column is bar:
+                return _LEAST_BAR
+            rendered = [column(task) for task in tasks if not isinstance(column, str)]
+            return max((text.cell_len for text in rendered if isinstance(text, Text)), default=0)
+
+        kept = list(whole)
+        while tasks and dispensable and sum(width(column) + 1 for column in kept) > self.console.width:
+            kept.remove(dispensable.pop(0))
+        self.columns = tuple(kept)
+        try:
+            return super().make_tasks_table(tasks)
+        finally:
+            self.columns = whole
 
 
 class StderrProgress(logging.Handler):
@@ -49,7 +76,7 @@ class StderrProgress(logging.Handler):
         self._in_bytes = in_bytes
         columns = (DownloadColumn(), TransferSpeedColumn()) if in_bytes else (MofNCompleteColumn(), _Rate())
         more = (TimeRemainingColumn(elapsed_when_finished=True), TextColumn("{task.fields[detail]}"))
-        self._bars = Progress(
+        self._bars = _Bars(
             TextColumn("{task.description:>14}"), BarColumn(None), *columns, *more, console=self._console
         )
         self._bar: TaskID | None = None

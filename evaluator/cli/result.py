@@ -92,7 +92,7 @@ def _print_failures(summary: dict[str, Any]) -> None:
         share = f"{100 * count / summary['eligible']:.1f}" if summary["eligible"] else ""
         rows.append((label, f"{count:,}", share, bar))
     numbers = ("episodes", "% of eligible")
-    print_table(("failure", *numbers, ""), rows, right=numbers)
+    print_table(("failure", *numbers, ""), rows, right=numbers, optional=("",))
 
 
 def _seconds(summary: dict[str, Any]) -> str:

@@ -9,14 +9,17 @@ import socket
 import subprocess
 import sys
 import tempfile
+import time
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
 from evaluator.engines.base import signal_name
 from evaluator.engines.worker import VALUE, die_with
-from rema_data.errors import InfrastructureError
+from rema_data import interrupts
+from rema_data.errors import InfrastructureError, StorageError
+from rema_data.leftovers import temporary_folder
 
 __all__ = ["Child", "call_in_child", "process_pool"]
 
@@ -34,8 +37,10 @@ class Child:
     def __init__(self, mode: str, target: str) -> None:
         ours, theirs = socket.socketpair()
         self._log = tempfile.TemporaryFile()  # noqa: SIM115 - closed by stop
+        self._folder = ExitStack()  # a worker that is killed does not remove its temporary files
         environment = {
             **os.environ,
+            "TMPDIR": str(self._folder.enter_context(temporary_folder("rema-worker-"))),
             **dict.fromkeys(THREAD_CAPS, "1"),
             "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path),
             "PYTHONSAFEPATH": "1",  # a file of the working folder must not stand in for a module
@@ -68,6 +73,7 @@ class Child:
             with suppress(ProcessLookupError, PermissionError):
                 os.killpg(self.process.pid, signal.SIGKILL)
         status = self.process.wait()
+        self._folder.close()
         with self._log as log:
             log.seek(max(0, log.seek(0, os.SEEK_END) - _TAIL_BYTES))
             printed = log.read().decode(errors="replace").strip()
@@ -80,7 +86,12 @@ def call_in_child(target: str, timeout_s: float = 120.0) -> Any:
     child = Child("call", target)
     message: tuple[Any, ...] = ()
     try:
-        if child.channel.poll(timeout_s):
+        deadline = time.monotonic() + timeout_s
+        while not child.channel.poll(interrupts.POLL_S):
+            interrupts.check()
+            if time.monotonic() > deadline:
+                break
+        else:
             with suppress(EOFError, OSError):
                 message = child.channel.recv()
     finally:
@@ -97,6 +108,29 @@ def call_in_child(target: str, timeout_s: float = 120.0) -> Any:
 
 
 def process_pool(workers: int) -> ProcessPoolExecutor:
-    """Fresh interpreters for Python calls, which end with this process."""
+    """Fresh interpreters for Python calls, which end with this process and leave Ctrl-C to it.
+
+    Raises StorageError where the system has no shared memory for them.
+    """
     spawn = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(workers, mp_context=spawn, initializer=die_with, initargs=(os.getpid(),))
+    try:
+        pool = ProcessPoolExecutor(workers, mp_context=spawn, initializer=_begin, initargs=(os.getpid(),))
+    except OSError as error:
+        raise StorageError(
+            f"processes cannot work together here: /dev/shm cannot be used: {error.strerror or error}",
+            hint="mount it as memory that may be written; for a container: docker run --shm-size 64m",
+            path="/dev/shm",
+        ) from error
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # inherited: they import for a second or two
+    try:
+        for _ in range(workers):
+            pool.submit(int)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return pool
+
+
+def _begin(parent: int) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    die_with(parent)

@@ -16,6 +16,7 @@ from evaluator.engines.base import (
     StepSimulator,
     load_attribute,
 )
+from rema_data.interrupts import check
 from rema_data.schema import StepOutcome
 
 __all__ = ["InlineEngine"]
@@ -38,6 +39,7 @@ class InlineEngine:
         """Run the jobs in the order given; see ``Engine.map``."""
         for batch in batches:
             for job in batch:
+                check()
                 yield (self._run(job),)
 
     def _run(self, job: Job) -> JobResult:

@@ -13,6 +13,7 @@ import psutil
 from evaluator.engines.base import SIMULATOR, BatchResult, InfraError, Job, JobBatch, JobResult, default_workers
 from evaluator.engines.child import Child
 from evaluator.engines.worker import DONE, RAISED, READY
+from rema_data import interrupts
 from rema_data.errors import InfrastructureError
 from rema_data.schema import StepOutcome
 
@@ -143,7 +144,8 @@ class ProcessEngine:
         busy = [worker for worker in self._seats.values() if worker.jobs]
         deadline = min(worker.heard for worker in busy) + self._limit_s
         by_channel = {worker.channel: worker for worker in self._seats.values()}
-        for channel in wait(list(by_channel), max(0.0, deadline - time.monotonic())):
+        interrupts.check()
+        for channel in wait(list(by_channel), min(interrupts.POLL_S, max(0.0, deadline - time.monotonic()))):
             self._read(by_channel[channel], results)  # type: ignore[index]
         now = time.monotonic()
         for worker in list(self._seats.values()):

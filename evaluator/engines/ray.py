@@ -21,6 +21,7 @@ from evaluator.engines.base import FINGERPRINT, SIMULATOR, BatchResult, InfraErr
 from evaluator.engines.child import call_in_child
 from evaluator.engines.process import ATTEMPTS, ProcessEngine
 from rema_data.errors import InfrastructureError, InputError, RemaError
+from rema_data.interrupts import check
 
 __all__ = ["ADDRESS", "RayEngine"]
 
@@ -200,6 +201,7 @@ class RayEngine:
 
     def _collect(self) -> list[JobResult]:
         """Wait for a while for a start, a result or a loss; the results that came with it."""
+        check()
         awaited = {}
         for seat in self._seats:
             if seat.start is not None or seat.calls:

@@ -7,10 +7,11 @@ import dataclasses
 import html
 import io
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import groupby
 
 from evaluator.leaderboard import PUBLISHED, Board, Row, apart
+from evaluator.leaderboard.escape import one_line, to_csv, to_latex, to_markdown, web_link
 from evaluator.statistics import format_interval, percent
 from rema_data.schema import TASKS
 
@@ -140,14 +141,15 @@ def _short(row: Row) -> str:
     return f"{percent(row.rate)} [{format_interval(row.ci95)}] {row.ties}".strip()
 
 
-def markdown_table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """A Markdown table, with every cell escaped."""
+def markdown_table(header: Sequence[str], lines: Iterable[Iterable[str]]) -> str:
+    """A Markdown table of cells that are Markdown: see ``to_markdown`` for text from elsewhere."""
     whole = [header, ["---"] * len(header), *lines]
-    return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in whole)
+    return "\n".join(f"| {' | '.join(line)} |" for line in whole)
 
 
 def _markdown(board: Board) -> str:
-    return "\n\n".join([markdown_table(COLUMNS, [cells(row) for row in board.rows]), *board.remarks]) + "\n"
+    rows = [[to_markdown(cell) for cell in cells(row)] for row in board.rows]
+    return "\n\n".join([markdown_table(COLUMNS, rows), *map(to_markdown, board.remarks)]) + "\n"
 
 
 def _html(board: Board) -> str:
@@ -158,8 +160,8 @@ def _html(board: Board) -> str:
         parts.append("<tr>" + "".join(f"<th>{html.escape(name)}</th>" for name in _without_title(COLUMNS)) + "</tr>")
         for row in rows:
             line = [html.escape(cell) for cell in _without_title(cells(row))]
-            if row.link:
-                line[0] = f'<a href="{html.escape(row.link)}">{line[0]}</a>'
+            if link := web_link(row.link):
+                line[0] = f'<a href="{html.escape(link)}">{line[0]}</a>'
             body = "".join(f"<td>{cell}</td>" for cell in line)
             parts.append(f'<tr class="{html.escape(row.tag)}">{body}</tr>')
         parts.append("</table></div>")
@@ -195,31 +197,18 @@ def _latex(board: Board) -> str:
         parts += [
             "\\begin{table}",
             "\\centering",
-            f"\\caption{{{_tex(title)}}}",
+            f"\\caption{{{to_latex(title)}}}",
             f"\\begin{{tabular}}{{{'l' * len(columns)}}}",
             "\\toprule",
-            " & ".join(map(_tex, columns)) + r" \\",
+            " & ".join(map(to_latex, columns)) + r" \\",
             "\\midrule",
-            *(" & ".join(map(_tex, _without_title(cells(row)))) + r" \\" for row in rows),
+            *(" & ".join(map(to_latex, _without_title(cells(row)))) + r" \\" for row in rows),
             "\\bottomrule",
             "\\end{tabular}",
             "\\end{table}",
             "",
         ]
-    return "\n".join([*parts, *(f"% {remark}" for remark in board.remarks)]) + "\n"
-
-
-_TEX = {character: f"\\{character}" for character in "&%$#_{}"} | {
-    "\\": r"\textbackslash{}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "<": r"\textless{}",
-    ">": r"\textgreater{}",
-}
-
-
-def _tex(text: str) -> str:
-    return "".join(_TEX.get(character, character) for character in text)
+    return "\n".join([*parts, *(f"% {one_line(remark)}" for remark in board.remarks)]) + "\n"
 
 
 def _without_title(line: Sequence[str]) -> list[str]:
@@ -242,7 +231,10 @@ def _csv(board: Board) -> str:
         for name in _PAIRS:
             line += content[name] or ("", "")
         writer.writerow(
-            [*line, *(json.dumps(content[name], sort_keys=True) if content[name] else "" for name in _NESTED)]
+            [
+                *map(to_csv, line),
+                *(json.dumps(content[name], sort_keys=True) if content[name] else "" for name in _NESTED),
+            ]
         )
     return text.getvalue()
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 from evaluator.leaderboard.published import published_table
-from evaluator.policy.loading import digest, resolve, weights_of
+from evaluator.policy.loading import resolve, weights_of
 from evaluator.policy.named import KINDS, PRIVILEGED_KINDS, find_named, is_reserved, policy_names
+from evaluator.policy.sandbox.snapshot import digest
 from evaluator.run.run import Run
 from rema_data.errors import RemaError
 

@@ -21,13 +21,17 @@ from typing import Any
 import numpy as np
 
 from evaluator.policy.faults import PolicyFault, check_maps, form_fault
-from evaluator.policy.wire import MAX_HEADER, REPLIES, Frame, frame_parts, read_frame, read_question
+from evaluator.policy.wire import MAX_HEADER, REPLIES, TAGS, Frame, frame_parts, read_frame, read_question
 
 _TRACEBACK_LINES = 12
 _MESSAGE_CHARACTERS = 2000
 _KIND_CHARACTERS = 200
 _CAUSES = 10
 _ANY_SIZE = 1 << 40
+
+_ANALYTICS = ("openvino_telemetry",)
+"""Modules that report the use of a library, and keep an identity under HOME; the library works without."""
+_LOOKS_UP_VARIABLE = type(os.environ).__getitem__.__code__
 
 __all__ = ["serve"]
 
@@ -45,19 +49,21 @@ def serve(request_fd: int, reply_fd: int, report: dict[str, Any]) -> None:
     questions: queue.Queue[Frame] = queue.Queue()
     threading.Thread(target=_listen, args=(request_fd, questions), daemon=True).start()
 
+    modules: dict[str, Any] = sys.modules
+    modules.update(dict.fromkeys(_ANALYTICS))  # they count as not installed
     order, _ = questions.get()
     own_folder = str(Path(order["path"]).parent) + os.sep
     try:
-        policy, privileged = _load(order)
+        policy, tags = _load(order)
     except BaseException as error:
         _reply(reply_fd, {"op": "loaded", "ok": False, **_describe(error, own_folder)})
         return
-    _reply(reply_fd, {"op": "loaded", "ok": True, "privileged": privileged})
+    _reply(reply_fd, {"op": "loaded", "ok": True, **tags})
     while True:
         header, arrays = questions.get()
         if header["op"] == "close":
             return
-        reply, answer = _answer(policy, privileged, header, arrays, own_folder)
+        reply, answer = _answer(policy, tags["privileged"], header, arrays, own_folder)
         _reply(reply_fd, {"op": REPLIES[header["op"]], "number": header["number"], **reply}, answer)
 
 
@@ -83,9 +89,10 @@ def _listen(request_fd: int, questions: queue.Queue[Frame]) -> None:
         os.kill(os.getpid(), signal.SIGKILL)  # in the sandbox it may signal only itself
 
 
-def _load(order: dict[str, Any]) -> tuple[Any, bool]:
+def _load(order: dict[str, Any]) -> tuple[Any, dict[str, bool]]:
+    """The policy, and what its class says of itself."""
     path = Path(order["path"])
-    sys.path.insert(0, str(path.parent))
+    sys.path[:0] = [str(path.parent), *([order["import_root"]] if order["import_root"] else [])]
     name = f"submitted_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
@@ -103,7 +110,8 @@ def _load(order: dict[str, Any]) -> tuple[Any, bool]:
     if not callable(getattr(kind, "act", None)):
         raise CannotLoad(f"class {order['class_name']} of {path.name} has no method act(observations)")
     checkpoint = None if order["checkpoint"] is None else Path(order["checkpoint"])
-    return kind(checkpoint, order["device"]), getattr(kind, "privileged", False) is True
+    policy = kind(checkpoint, order["device"])
+    return policy, {tag: getattr(kind, tag, False) is True for tag in TAGS}
 
 
 def _answer(
@@ -135,7 +143,7 @@ def _maps_of(policy: Any) -> Any:
 def _describe(error: BaseException, own_folder: str) -> dict[str, Any]:
     """What was raised, where in the submitter's code, and the last lines of the traceback from there on."""
     if isinstance(error, CannotLoad):
-        return {"message": str(error), "where": "", "traceback": "", "kinds": []}
+        return {"message": str(error), "where": "", "traceback": "", "kinds": [], "cause": {}}
     start = error.__traceback__
     while start is not None and start.tb_frame.f_code.co_filename.startswith((__file__, "<frozen importlib")):
         start = start.tb_next  # the frames of this file say nothing to a submitter
@@ -154,7 +162,44 @@ def _describe(error: BaseException, own_folder: str) -> dict[str, Any]:
         "where": where,
         "traceback": "\n".join("".join(lines).splitlines()[-_TRACEBACK_LINES:])[:_MESSAGE_CHARACTERS],
         "kinds": _kinds(error),
+        "cause": _cause(error),
     }
+
+
+def _cause(error: BaseException) -> dict[str, Any]:
+    """Of the first error in the chain that the sandbox may have caused: what the evaluator needs to explain it."""
+    found: BaseException | None = error
+    for _ in range(_CAUSES):
+        system = isinstance(found, OSError) and found.errno is not None  # not one that a library raised in its name
+        if found is None or system or isinstance(found, ImportError | MemoryError | KeyError):
+            break
+        found = found.__cause__ or found.__context__
+    found = found or error
+    last = found.__traceback__
+    while last is not None and last.tb_next is not None:
+        last = last.tb_next
+    module = "" if last is None else str(last.tb_frame.f_globals.get("__name__", ""))
+    name = getattr(found, "name", None) if isinstance(found, ImportError) else None
+    if isinstance(found, KeyError) and last is not None and last.tb_frame.f_code is _LOOKS_UP_VARIABLE:
+        name = found.args[0]
+    number, path = getattr(found, "errno", None), getattr(found, "filename", None)
+    if isinstance(path, bytes):
+        path = os.fsdecode(path)
+    return {
+        "kinds": [f"{kind.__module__}.{kind.__qualname__}"[:_KIND_CHARACTERS] for kind in type(found).__mro__],
+        "number": number if isinstance(number, int) else 0,
+        "path": path[:_MESSAGE_CHARACTERS] if isinstance(path, str) else "",
+        "name": str(name or "")[:_KIND_CHARACTERS],
+        "module": module[:_KIND_CHARACTERS],
+        "text": _text(found)[:_KIND_CHARACTERS],
+    }
+
+
+def _text(error: BaseException) -> str:
+    try:
+        return str(error)
+    except Exception:
+        return ""
 
 
 def _kinds(error: BaseException | None) -> list[str]:

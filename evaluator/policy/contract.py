@@ -90,7 +90,8 @@ class ObservationBatch:
 class Policy(Protocol):
     """A policy, as a type to check a class against.
 
-    It must not remember: the evaluator asks in any order, in any batch size, and in several processes.
+    It must not remember: the evaluator asks in any order, in any batch size, and in several processes. A class that
+    carries a simulator of this world, or the scenario lists, says so: ``simulator = True``.
 
     Parameters
     ----------

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import secrets
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -21,9 +22,13 @@ from evaluator.policy.loading import PolicySpec, check_checkpoint
 from evaluator.policy.output import CappedOutput, printable
 from evaluator.policy.process import ChildFailure, ChildProcess
 from evaluator.policy.sandbox.isolation import Isolation, isolation_of
-from evaluator.policy.sandbox.launch_spec import LaunchSpec
+from evaluator.policy.sandbox.launch_spec import LaunchSpec, runs_beside, unused_user
 from evaluator.policy.sandbox.limits import PolicyLimits
-from evaluator.policy.wire import REPLIES, Frame, batch_frame, frame_parts
+from evaluator.policy.sandbox.private_copy import PrivateCopy
+from evaluator.policy.sandbox.snapshot import Snapshot
+from evaluator.policy.sandbox.wrapper import check_sandbox
+from evaluator.policy.sandbox_hints import Cause, Surroundings, sandbox_hint
+from evaluator.policy.wire import REPLIES, TAGS, Frame, batch_frame, frame_parts
 from rema_data import grid
 from rema_data.errors import InputError, SubmissionError
 from rema_data.schema import Situation
@@ -67,12 +72,14 @@ class PolicyHost:
         self._device = device
         self._limits = limits or PolicyLimits()
         self._log = log
-        run = log.parent if run is None and log is not None else run
-        self._launch = LaunchSpec(spec.path, self._checkpoint, self._limits, run, confine, sandbox)
+        self._run = log.parent if run is None and log is not None else run
+        self._confined, self._sandbox = confine, sandbox
+        check_sandbox(sandbox)
+        self._copy: PrivateCopy | None = None
         self._output = CappedOutput(log, self._limits.log_head_bytes, self._limits.log_tail_bytes)
         self._child: ChildProcess | None = None
         self._isolation: Isolation | None = None
-        self._privileged: bool | None = None
+        self._tags: dict[str, bool] = {}
         self._asked = 0  # observations
         self._waited_s = 0.0  # for processes that are gone
         self._overdrawn: PolicyFault | None = None
@@ -83,7 +90,12 @@ class PolicyHost:
     @property
     def privileged(self) -> bool:
         """Whether the policy is shown the ground truth; known after entering."""
-        return self._privileged is True
+        return self._tags.get("privileged", False)
+
+    @property
+    def simulator(self) -> bool:
+        """Whether the policy says that it carries a simulator or the scenario lists; known after entering."""
+        return self._tags.get("simulator", False)
 
     @property
     def isolation(self) -> Isolation:
@@ -107,8 +119,20 @@ class PolicyHost:
         """The kept part of what the policy printed."""
         return self._output.text()
 
+    @property
+    def digest(self) -> str:
+        """Digest of the copy that runs (``evaluator.policy.digest``); known after entering."""
+        return self._snapshot.digest
+
+    @property
+    def _snapshot(self) -> Snapshot:
+        if self._copy is None:
+            raise InputError("a policy is copied when its host is entered", hint="enter the host first")
+        return self._copy.snapshot
+
     def __enter__(self) -> Self:
         try:
+            self._take()
             self._start()
         except BaseException:
             self._close()
@@ -125,12 +149,12 @@ class PolicyHost:
 
         ``situations`` are needed by a privileged policy (an InputError without them), and never shown to another one.
         """
-        if self._privileged and (situations is None or len(situations) != len(batch)):
+        if self.privileged and (situations is None or len(situations) != len(batch)):
             raise InputError("a privileged policy needs one situation an observation", hint="pass `situations`")
         if len(batch) == 0:
             return []
         self._asked += len(batch)
-        shown = situations if self._privileged else None
+        shown = situations if self.privileged else None
         answers = self._answers(batch, shown, self._limits.batch_s)
         if isinstance(answers, list):
             return answers
@@ -150,7 +174,7 @@ class PolicyHost:
         if isinstance(reply, PolicyFault):
             return reply
         header, arrays = reply
-        return check_maps(arrays["answer"], len(batch)) if _answered(reply) else reported_fault(header)
+        return check_maps(arrays["answer"], len(batch)) if _answered(reply) else self._reported(header)
 
     def _ask_one_by_one(self, batch: ObservationBatch, shown: tuple[Situation, ...] | None) -> list[Answer]:
         """Find out which observations of a failed batch are faults.
@@ -182,8 +206,19 @@ class PolicyHost:
             shape = "".join(f", {size}" for size in answer.shape[1:]) or ","
             self.returned = f"{answer.dtype} (N{shape})"
             return check_answer(answer, batch.valid)
-        fault = reported_fault(header)
+        fault = self._reported(header)
         return fault if fault.reason == FaultReason.EXCEPTION else [fault] * len(batch)
+
+    def _reported(self, header: dict[str, Any]) -> PolicyFault:
+        fault, around = reported_fault(header), self._surroundings()
+        hint = sandbox_hint(Cause.of(header), around)
+        detail = f"{fault.detail}; sandbox: {hint}" if hint else fault.detail
+        return replace(fault, detail=around.readable(detail))
+
+    def _surroundings(self) -> Surroundings:
+        assert self._child is not None
+        confined = self._isolation is not None and self._isolation.level != "L1"
+        return Surroundings(self.spec.path, self._snapshot, self._child.folder, self._limits, confined)
 
     def _exchange(
         self, op: str, batch: ObservationBatch, shown: tuple[Situation, ...] | None, seconds: float, reply_bytes: int
@@ -230,14 +265,22 @@ class PolicyHost:
             )
         return self._overdrawn
 
+    def _take(self) -> None:
+        """Make the copy that every process of this host runs from."""
+        runs, user = runs_beside(self._run), unused_user() if self._confined else None
+        self._copy = PrivateCopy(self.spec, self._checkpoint, runs, user)
+        self._launch = LaunchSpec(self._copy.snapshot, self._limits, runs, self._confined, user, self._sandbox)
+
     def _start(self) -> None:
         limit_s = self._limits.start_s
+        copy = self._snapshot
         self._child = ChildProcess(self._output, self._launch)
         load: dict[str, Any] = {
             "op": "load",
-            "path": str(self.spec.path),
+            "path": str(copy.policy),
+            "import_root": None if copy.import_root is None else str(copy.import_root),
             "class_name": self.spec.class_name,
-            "checkpoint": None if self._checkpoint is None else str(self._checkpoint),
+            "checkpoint": None if copy.checkpoint is None else str(copy.checkpoint),
             "device": self._device,
         }
         try:
@@ -249,16 +292,16 @@ class PolicyHost:
             raise self._error(LoadFailure(why)) from None
         if header.get("ok") is not True:
             raise self._error(LoadFailure.of(header))
-        found = header.get("privileged") is True
-        if self._privileged not in (None, found):
-            # What the run says of the policy was taken from its first process.
-            was, now = (f"`privileged` {value}" for value in (self._privileged, found))
-            raise self._error(LoadFailure(f"started again it has {now}, at first it had {was}"))
-        self._privileged = found
+        tags = {tag: header.get(tag) is True for tag in TAGS}
+        for tag, was in self._tags.items():
+            if tags[tag] != was:
+                # What the run says of the policy was taken from its first process.
+                raise self._error(LoadFailure(f"started again it has `{tag}` {tags[tag]}, at first it had {was}"))
+        self._tags = tags
 
     def _confine(self, child: ChildProcess) -> None:
         """Restrict the process, before anything of the policy is read."""
-        sandbox = self._launch.sandbox
+        sandbox = self._sandbox
         try:
             report, _ = child.ask(frame_parts(self._launch.orders(child.folder)), self._limits.start_s, 0)
         except ChildFailure as failure:
@@ -275,13 +318,15 @@ class PolicyHost:
         self._isolation = found
 
     def _error(self, failure: LoadFailure) -> SubmissionError:
+        around = self._surroundings()
+        sandbox = sandbox_hint(failure.cause, around)
         self._drop()
-        path, where = self.spec.path, failure.where
-        message = f"policy {self.spec.name} cannot be used: {failure.message}"
+        path, where = self.spec.path, around.readable(failure.where)
+        message = f"policy {self.spec.name} cannot be used: {around.readable(failure.message)}"
         if self.spec.named is not None and failure.explains_itself:
             # The code of an installed policy needs no fix: its checkpoint does.
             return SubmissionError(message, path=path)
-        hint = load_hint(failure, where or str(path), self.output, self._isolation, self._checkpoint)
+        hint = around.readable(load_hint(failure, where or str(path), self.output, self._checkpoint, sandbox))
         if self._log is not None and self._output.total:
             hint += f"\nits output is in {self._log}"
         return SubmissionError(message + (f" ({where})" if where else ""), hint=hint, path=path, where=where)
@@ -297,6 +342,9 @@ class PolicyHost:
             self._child.close()
             self._child = None
         self._output.settle()
+        if self._copy is not None:
+            self._copy.remove()
+            self._copy = None
 
 
 def _answered(reply: Frame) -> bool:

@@ -1,18 +1,23 @@
-"""The other files of a policy's code: the modules of its folder that it imports. They are read, not run."""
+"""The other files of a policy's code: the modules of its folder that it imports. They are read, not run.
+
+As a script, ``python -I -S imports.py FILE`` prints them as a JSON list: the evaluator parses no policy by itself.
+"""
 
 from __future__ import annotations
 
 import ast
+import json
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["outermost_folder", "own_modules"]
+__all__ = ["PRODUCT", "outermost_folder", "parsed_modules"]
 
-_PRODUCT = ("rema_data", "evaluator")
+PRODUCT = ("rema_data", "evaluator")
 """Packages that other digests of the run cover."""
 
 
-def own_modules(file: Path) -> list[Path]:
+def parsed_modules(file: Path) -> list[Path]:
     """Files that ``file`` (absolute) imports from its own folder or package, and what these import; sorted.
 
     Of an installed package only its own modules count, as in a checkout. An import that is computed at run time is not
@@ -64,10 +69,14 @@ def _imported(file: Path, root: Path) -> Iterator[str]:
 def _files_of(name: str, root: Path) -> Iterator[Path]:
     """The module of a name below ``root``, with the packages around it."""
     parts = name.split(".")
-    if parts[0] in _PRODUCT or not all(part.isidentifier() for part in parts):
+    if parts[0] in PRODUCT or not all(part.isidentifier() for part in parts):
         return
     for length in range(1, len(parts) + 1):
         place = root.joinpath(*parts[:length])
         for path in (place / "__init__.py", place.with_suffix(".py")):
             if path.is_file():
                 yield path
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps([str(path) for path in parsed_modules(Path(sys.argv[1]))]))

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from evaluator.policy.output import printable
-from evaluator.policy.sandbox.isolation import Isolation
+from evaluator.policy.sandbox_hints import Cause
 
 __all__ = ["LoadFailure", "conversion_command", "load_hint"]
 
 _SHOWN = 2000  # characters
 _UNPICKLING = "_pickle.UnpicklingError"
-_DENIED = "builtins.PermissionError"
 _OWN = "rema_data.errors.RemaError"
 _PICKLES = (".pt", ".pth", ".ckpt", ".pkl", ".bin")
 _FILES = 5  # pickles of a folder that are named
@@ -34,6 +33,7 @@ class LoadFailure:
     where: str = ""  # file and line in the submitter's code where it was raised
     trace: str = ""  # the last lines of the traceback
     kinds: tuple[str, ...] = ()  # types (``module.name``) of the exception and of its causes, with their bases
+    cause: Cause = field(default_factory=Cause)
 
     @property
     def explains_itself(self) -> bool:
@@ -49,13 +49,15 @@ class LoadFailure:
             printable(header.get("where", "")),
             printable(header.get("traceback", "")),
             tuple(kind for kind in kinds if isinstance(kind, str)) if isinstance(kinds, list) else (),
+            Cause.of(header),
         )
 
 
-def load_hint(
-    failure: LoadFailure, place: str, printed: str, isolation: Isolation | None, checkpoint: Path | None
-) -> str:
-    """Lines below the message: the traceback, or else what the policy ``printed``, and how to fix it at ``place``."""
+def load_hint(failure: LoadFailure, place: str, printed: str, checkpoint: Path | None, sandbox: str = "") -> str:
+    """Lines below the message: the traceback, or else what the policy ``printed``, and how to fix it at ``place``.
+
+    ``sandbox`` is what the sandbox has to do with it (``sandbox_hint``).
+    """
     lines = [printable((failure.trace or printed)[-_SHOWN:]).strip()]
     if _UNPICKLING in failure.kinds:
         lines.append(
@@ -63,11 +65,8 @@ def load_hint(
             "author, convert its weights once, and load the safetensors instead:"
         )
         lines += [conversion_command(path, trust=True) for path in _pickles(checkpoint)]
-    if _DENIED in failure.kinds and isolation is not None and isolation.level != "L1":
-        lines.append(
-            "a policy reads its own folder and its --checkpoint, writes its temporary folder, and starts no process "
-            "and no connection: docs/threat_model.md"
-        )
+    if sandbox:
+        lines.append(f"sandbox: {sandbox}")
     lines.append(f"to fix this, edit {place} and run the same command again")
     return "\n".join(line for line in lines if line)
 

@@ -1,18 +1,17 @@
-"""Which file and class a policy reference means, and the digest of what will run. Nothing is imported here."""
+"""Which file and class a policy reference means, and which weights it loads. Nothing is imported here."""
 
 from __future__ import annotations
 
-import hashlib
+import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from evaluator.policy.imports import own_modules
 from evaluator.policy.named import NamedPolicy, find_named, is_reserved, listing
-from evaluator.policy.shipped import file_sha256, shipped_checkpoint
+from evaluator.policy.shipped import shipped_checkpoint
 from rema_data.errors import InputError, MissingFileError
 
-__all__ = ["NAME_LENGTH", "PolicySpec", "check_checkpoint", "digest", "resolve", "weights_of"]
+__all__ = ["NAME_LENGTH", "PolicySpec", "check_checkpoint", "resolve", "weights_of"]
 
 _DEFAULT_CLASS = "Policy"
 NAME_LENGTH = 80
@@ -69,13 +68,13 @@ def _split(reference: str) -> tuple[str, str]:
 
 
 def check_checkpoint(checkpoint: Path | None) -> Path | None:
-    """The checkpoint as an absolute path, or a MissingFileError."""
+    """The checkpoint as an absolute path under the name that it was given, or a MissingFileError."""
     if checkpoint is None:
         return None
     path = checkpoint.expanduser()
     if not path.exists():
         raise MissingFileError(f"checkpoint {path} does not exist", hint="check the path after --checkpoint", path=path)
-    return path.resolve()
+    return Path(os.path.abspath(path))
 
 
 def weights_of(spec: PolicySpec, checkpoint: Path | None) -> Path | None:
@@ -86,23 +85,3 @@ def weights_of(spec: PolicySpec, checkpoint: Path | None) -> Path | None:
     if checkpoint is not None or spec.named is None:
         return check_checkpoint(checkpoint)
     return check_checkpoint(spec.named.checkpoint) or shipped_checkpoint(spec.name)
-
-
-def digest(spec: PolicySpec, checkpoint: Path | None) -> str:
-    """Identity of a policy: sha256 over its class name, its code and its weights, hexadecimal.
-
-    The code is the file and the modules of its folder that it imports (``own_modules``). A checkpoint folder counts
-    with all its files, sorted. Raises MissingFileError where code or checkpoint is missing.
-    """
-    if not spec.path.is_file():
-        raise MissingFileError(f"policy file {spec.path} does not exist", hint="check the path", path=spec.path)
-    total = hashlib.sha256(spec.class_name.encode())
-    for path in (spec.path, *own_modules(spec.path)):
-        total.update(bytes.fromhex(file_sha256(path)))
-    weights = check_checkpoint(checkpoint)
-    if weights is not None:
-        files = sorted(path for path in weights.rglob("*") if path.is_file()) if weights.is_dir() else [weights]
-        for path in files:
-            total.update(path.relative_to(weights).as_posix().encode())
-            total.update(bytes.fromhex(file_sha256(path)))
-    return total.hexdigest()

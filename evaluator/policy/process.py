@@ -21,6 +21,7 @@ from evaluator.policy.sandbox.cleanup import CleanupShell, descendants, end_fami
 from evaluator.policy.sandbox.launch_spec import LaunchSpec
 from evaluator.policy.sandbox.resource_monitor import ResourceMonitor
 from evaluator.policy.wire import Frame, WireError, frame_parts, read_frame
+from rema_data import interrupts
 
 __all__ = ["ChildFailure", "ChildProcess"]
 
@@ -64,7 +65,7 @@ class ChildProcess:
                 start_new_session=True,
             )
             try:
-                self._cleanup = CleanupShell(self._process.pid, self.folder)
+                self._cleanup = CleanupShell(self.folder, self._process.pid)
             except BaseException:
                 end_family(self._process, self.folder)
                 raise
@@ -112,6 +113,7 @@ class ChildProcess:
         Time is counted in slices: one that was suspended meanwhile (Ctrl-Z) counts as one at most.
         """
         while True:
+            interrupts.check()
             start, allowed = time.monotonic(), max(0.0, min(self._left_s, _SLICE_S))
             ready = any(select.select(read, write, (), allowed))
             self._left_s -= min(time.monotonic() - start, _SLICE_S)
@@ -160,10 +162,11 @@ class ChildProcess:
         """Ask the process to end, then end it and everything that it started."""
         known = descendants(self._process)  # once it has ended, its children have no parent to be found by
         self._left_s = _GOODBYE_S
-        with contextlib.suppress(OSError, ChildFailure):
-            for part in frame_parts({"op": "close"}):
-                self._write(memoryview(part))
-            self._await_end(_GOODBYE_S)
+        if not interrupts.requested():  # else there is no time for a goodbye
+            with contextlib.suppress(OSError, ChildFailure):
+                for part in frame_parts({"op": "close"}):
+                    self._write(memoryview(part))
+                self._await_end(_GOODBYE_S)
         self.kill(known)
 
     def kill(self, known: Iterable[psutil.Process] = ()) -> None:

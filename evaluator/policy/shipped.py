@@ -15,9 +15,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock
-
 from rema_data.errors import IntegrityError, MissingFileError
+from rema_data.locks import lock
 from rema_data.manifests import manifests_dir, read_manifest
 from rema_data.release.folder import downloads_folder, local_sources
 from rema_data.storage import write_atomic
@@ -75,7 +74,7 @@ def publish_checkpoint(policy: str, folder: str, place: Path) -> None:
     files = {name: file_sha256(place / name) for name in sorted(_networks(place))}
     path = _manifest()
     path.parent.mkdir(parents=True, exist_ok=True)
-    with FileLock(path.with_name(f".{path.name}.lock")):  # held for milliseconds: wait for it
+    with lock(path.with_name(f".{path.name}.lock"), wait=True):  # held for milliseconds: wait for it
         known = sorted((shipped_policies() | {policy: (folder, files)}).items())
         entries = {name: {"folder": where, "files": digests} for name, (where, digests) in known}
         write_atomic(path, json.dumps({"policies": entries}, indent=1) + "\n")

@@ -29,6 +29,7 @@ from rema_data.schema import Grip, Pinch, Placement, Situation, spec_from_dict, 
 __all__ = [
     "MAX_HEADER",
     "REPLIES",
+    "TAGS",
     "Frame",
     "WireError",
     "batch_frame",
@@ -41,6 +42,8 @@ MAX_HEADER = 16 << 20
 """Longest header, bytes: room for the situations of a large batch."""
 REPLIES = {"act": "acted", "maps": "mapped"}
 """Questions about a batch, and the replies to them."""
+TAGS = ("privileged", "simulator")
+"""What the class of a policy says of itself: that it is shown the ground truth; that it carries a simulator."""
 _STEP = ("primitive", "embodiment", "task", "step")
 """What a question says of its step."""
 _LENGTH = struct.Struct(">I")

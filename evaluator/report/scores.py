@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.policy import PolicyFault, PolicyHost
-from evaluator.policy.loading import PolicySpec, digest
+from evaluator.policy import PolicyFault, PolicyHost, PolicySpec, digest
 from evaluator.policy.output import printable
 from evaluator.report.breakdown import Group, group
 from evaluator.rollout.ask import question

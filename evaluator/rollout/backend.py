@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluator.engines import FINGERPRINT, SIMULATOR
+from evaluator.engines.abandoned import remove_models
 from evaluator.run.environment import source_digest
 from evaluator.sim.bullet import require_bullet
 from rema_data.schema import Observation, Situation
@@ -50,6 +51,7 @@ class Backend:
 def default_backend() -> Backend:
     """The real world and the real host; raises InputError where PyBullet is not installed."""
     require_bullet()
+    remove_models()
     from evaluator.policy import PolicyHost, digest
     from evaluator.protocol import protocol_hash
     from evaluator.sim import DECIDES

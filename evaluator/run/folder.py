@@ -6,16 +6,15 @@ import errno
 import json
 import secrets
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
-
-from filelock import FileLock, Timeout
 
 from evaluator.run.environment import environment
 from evaluator.run.header import RUN_FILE, RUN_FORMAT, encode_header, read_header
 from evaluator.run.seal import ACTIONS_FILE, OLD_RESULTS_FILE, RESULTS_FILE, SUMMARY_FILE, seal_of
 from rema_data.errors import InputError, RunMismatchError
+from rema_data.locks import Busy, has_no_locks, lock
 from rema_data.storage import storage_errors, write_atomic
 
 __all__ = ["RunFolder", "being_written", "locked"]
@@ -23,6 +22,7 @@ __all__ = ["RunFolder", "being_written", "locked"]
 TIMINGS_FILE = "timings.parquet"
 _LOG_FILE = "policy.log"
 _LOCK_FILE = ".lock"
+_LOCAL = "choose a folder on a local disk with --output"
 _NOT_WRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS)
 _RESULTS = (RESULTS_FILE, OLD_RESULTS_FILE, SUMMARY_FILE)
 _FILES = (RUN_FILE, RESULTS_FILE, ACTIONS_FILE, TIMINGS_FILE, SUMMARY_FILE, _LOG_FILE)
@@ -36,20 +36,17 @@ def locked(folder: Path, hint: str, *, only_reading: bool = False) -> Iterator[N
 
     A reader (``only_reading``) of a folder that cannot be written continues without the lock.
     """
-    lock = FileLock(folder / _LOCK_FILE, timeout=0)
-    try:
-        with storage_errors(folder):
-            try:
-                lock.acquire()
-            except OSError as error:
-                if not (only_reading and error.errno in _NOT_WRITABLE):
-                    raise
-    except Timeout as error:
-        raise InputError(f"another process is writing in {folder}", hint=hint, path=str(folder)) from error
-    try:
+    with ExitStack() as stack:
+        try:
+            with storage_errors(folder):
+                try:
+                    stack.enter_context(lock(folder / _LOCK_FILE, hint=_LOCAL))
+                except OSError as error:
+                    if not only_reading or not (error.errno in _NOT_WRITABLE or has_no_locks(error.__cause__)):
+                        raise
+        except Busy as error:
+            raise InputError(f"another process is writing in {folder}", hint=hint, path=str(folder)) from error
         yield
-    finally:
-        lock.release()
 
 
 def being_written(folder: Path) -> bool:
@@ -57,9 +54,9 @@ def being_written(folder: Path) -> bool:
     if not (folder / _LOCK_FILE).exists():
         return False
     try:
-        with FileLock(folder / _LOCK_FILE, timeout=0):
+        with lock(folder / _LOCK_FILE):
             return False
-    except Timeout:
+    except Busy:
         return True
     except OSError:
         return False

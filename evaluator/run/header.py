@@ -84,6 +84,7 @@ class _Policy(TypedDict, total=False):
     file: str
     class_name: str
     privileged: bool
+    simulator: bool
 
 
 @pydantic.with_config(_OPEN)

@@ -73,6 +73,7 @@ def _run(folder: Path, files: RunFiles) -> Run:
         source=folder,
         policy=policy.get("name", ""),
         privileged=policy.get("privileged", False),
+        kind_of_policy="simulator" if policy.get("simulator") else "",
         task=identity["task"],
         split=identity["split"],
         protocol=identity["protocol"],

@@ -14,11 +14,17 @@ import time
 import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, NotRequired
+
+import pydantic
+from typing_extensions import TypedDict  # pydantic needs this one before Python 3.12
 
 from evaluator.engines.base import InfraError
+from rema_data import grid
 from rema_data.errors import IntegrityError
+from rema_data.json_files import parse_json
 from rema_data.schema import Failure, StepOutcome, outcome_from_dict
 from rema_data.storage import storage_errors, sync_folder
 
@@ -110,20 +116,50 @@ def _line(row: dict[str, Any]) -> bytes:
     return b"[%d,%b]\n" % (zlib.crc32(content), content)
 
 
-def _row(line: bytes) -> dict[str, Any]:
-    """Inverse of ``_line``, or a ValueError."""
+def _content(line: bytes) -> bytes:
+    """JSON of a line, or a ValueError where its checksum is another one."""
     checksum, _, content = line[1:-1].partition(b",")
     if b"[%d,%b]" % (zlib.crc32(content), content) != line:
         raise ValueError(f"the checksum is not {checksum!r}")
-    row: dict[str, Any] = json.loads(content)
-    return row
+    return content
 
 
-def read_journal(folder: Path, name: str) -> Iterator[tuple[int, dict[str, Any]]]:
+@pydantic.with_config(pydantic.ConfigDict(extra="forbid", strict=True))
+class _AnswerRow(TypedDict):
+    index: pydantic.NonNegativeInt
+    step: pydantic.NonNegativeInt
+    action: Annotated[int, pydantic.Field(ge=0, lt=grid.ACTIONS)] | None
+    reason: NotRequired[str | None]
+    detail: NotRequired[str | None]
+
+
+@pydantic.with_config(pydantic.ConfigDict(extra="forbid", strict=True))
+class _OutcomeRow(TypedDict):
+    index: pydantic.NonNegativeInt
+    step: pydantic.NonNegativeInt
+    action: NotRequired[Annotated[int, pydantic.Field(ge=0, lt=grid.ACTIONS)] | None]
+    outcome: StepOutcome | None
+    error: InfraError | None
+    seconds: float
+    worker: str
+    attempt: int
+
+
+_SHAPES: dict[str, Any] = {ANSWERS: _AnswerRow, OUTCOMES: _OutcomeRow}
+
+
+@cache
+def _adapter(shape: Any) -> pydantic.TypeAdapter[Any]:
+    return pydantic.TypeAdapter(shape)
+
+
+def read_journal(folder: Path, name: str, shape: Any = None) -> Iterator[tuple[int, dict[str, Any]]]:
     """Segment number and content of every whole line, in the order of writing.
 
-    A damaged line, other than a torn last one, is an IntegrityError.
+    ``shape`` is what pydantic checks a line against; answers and outcomes have theirs. A damaged line, other than a
+    torn last one, is an IntegrityError, and so is one with a valid checksum around something else.
     """
+    adapter = _adapter(_SHAPES[name] if shape is None else shape)
     for path in sorted(folder.glob(f"{name}-*.jsonl")):
         digits = path.stem.removeprefix(f"{name}-")
         if not digits.isdecimal():
@@ -132,7 +168,7 @@ def read_journal(folder: Path, name: str) -> Iterator[tuple[int, dict[str, Any]]
         *lines, torn = path.read_bytes().split(b"\n")
         for number, line in enumerate(lines, 1):
             try:
-                row = _row(line)
+                content = _content(line)
             except ValueError as error:
                 if number == len(lines) and not torn:
                     break  # a power cut may leave rubbish instead of a torn line
@@ -142,7 +178,26 @@ def read_journal(folder: Path, name: str) -> Iterator[tuple[int, dict[str, Any]]
                     path=str(path),
                     line=number,
                 ) from error
+            try:
+                adapter.validate_json(content)
+                row: dict[str, Any] = parse_json(content)
+                _check_names(row)
+            except (ValueError, TypeError) as error:
+                raise IntegrityError(
+                    f"{path}, line {number} is whole, and holds something else than the {name} of a run",
+                    hint=f"delete the folder {folder.parent}, and run the same command again",
+                    path=str(path),
+                    line=number,
+                ) from error
             yield segment, row
+
+
+def _check_names(row: dict[str, Any]) -> None:
+    """Raise where an outcome has fields that are not known: pydantic looks over those of plain dataclasses."""
+    if row.get("outcome") is not None:
+        outcome_from_dict(row["outcome"])
+    if row.get("error") is not None:
+        InfraError(**row["error"])
 
 
 class Records:

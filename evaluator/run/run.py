@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,7 +11,6 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from evaluator.policy.named import PRIVILEGED_KINDS, kind_of
 from evaluator.protocol import acting_steps
@@ -26,6 +24,7 @@ from evaluator.run.records import ANSWERS, read_journal
 from evaluator.run.seal import results_name
 from evaluator.run.tables import TIMINGS_SCHEMA, first_line
 from evaluator.scenarios.strata import Targets
+from rema_data.bounded import parquet_table
 from rema_data.errors import InputError, IntegrityError, MissingFileError
 
 __all__ = ["AGAIN", "Provenance", "Row", "Run"]
@@ -71,7 +70,8 @@ class Run:
     nondeterministic: int = 0  # steps that had two different outcomes
     isolation: str = ""  # lowest level of the policy's sandbox; empty where it was not recorded
     link: str = ""  # where to read about the policy; empty for run folders
-    kind_of_policy: str = ""  # what an entry says its policy is; empty for run folders and entries of format 1
+    # what an entry, or the class of the policy, says it is; empty for other run folders and entries of format 1
+    kind_of_policy: str = ""
     digest: str = ""  # sha256 of an entry
     # how it is known that the actions give these outcomes: ``here`` (simulated on this machine) or ``record`` (one that
     # comes with rema); empty where nobody knows
@@ -218,7 +218,7 @@ class Run:
         if not path.is_file():
             raise MissingFileError(f"{path} does not exist", hint=AGAIN, path=str(path))
         try:
-            table = pq.read_table(io.BytesIO(path.read_bytes())).select(TIMINGS_SCHEMA.names)
+            table = parquet_table(path, page_checksum_verification=True).select(TIMINGS_SCHEMA.names)
             if table.schema.types != TIMINGS_SCHEMA.types or any(column.null_count for column in table.columns):
                 raise ValueError("it does not have the columns that it should have")
             rows: list[Row] = table.to_pylist()

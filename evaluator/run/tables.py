@@ -19,6 +19,7 @@ from evaluator.engines.base import InfraError
 from evaluator.run.records import Records
 from evaluator.scenarios import ScenarioList, scenario_id
 from rema_data import grid
+from rema_data.bounded import parquet_file
 from rema_data.schema import TASKS, Evidence, Failure, ObjectSpec, Scenario, StepOutcome, pinch_step, tool_steps
 
 __all__ = [
@@ -166,7 +167,7 @@ def read_results(payload: bytes, task: str) -> tuple[pa.Table | None, pa.Table |
     schema = results_schema(task)
     broken = (pa.ArrowException, OSError, ValueError)
     try:
-        file = pq.ParquetFile(io.BytesIO(payload))
+        file = parquet_file(payload)
         names = list(file.schema_arrow.names)
     except broken as error:
         return None, None, [("", f"cannot be read: {first_line(error)}")]
@@ -215,8 +216,8 @@ def timings_table(records: Records, episodes: int) -> pa.Table:
     return pa.Table.from_pydict(content, schema=TIMINGS_SCHEMA)
 
 
-def to_parquet(table: pa.Table) -> bytes:
-    """A table as Parquet bytes, with every writer option fixed."""
+def to_parquet(table: pa.Table, page_checksums: bool = False) -> bytes:
+    """A table as Parquet bytes, with every writer option fixed; checksums are for a table that no seal covers."""
     buffer = io.BytesIO()
     pq.write_table(
         table,
@@ -228,6 +229,7 @@ def to_parquet(table: pa.Table) -> bytes:
         data_page_size=1 << 20,
         use_dictionary=True,
         write_statistics=True,
+        write_page_checksum=page_checksums,
         store_schema=False,
     )
     return buffer.getvalue()

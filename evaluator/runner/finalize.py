@@ -39,7 +39,7 @@ def write_tables(folder: RunFolder, plan: Plan, scenarios: ScenarioList, ledger:
     files = {RESULTS_FILE: to_parquet(table), ACTIONS_FILE: encode_actions(actions_of(table, plan.steps))}
     for name, content in files.items():
         folder.write(name, content)
-    folder.write(TIMINGS_FILE, to_parquet(timings_table(ledger, len(plan.scenarios))))
+    folder.write(TIMINGS_FILE, to_parquet(timings_table(ledger, len(plan.scenarios)), page_checksums=True))
     return RunTables(table, files)
 
 

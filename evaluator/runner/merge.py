@@ -9,8 +9,6 @@ all that the shards say, so that nobody can keep out of it what is false.
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
@@ -34,6 +32,8 @@ from evaluator.scenarios import ScenarioList
 from evaluator.sim.bullet import decisive
 from evaluator.statistics import clopper_pearson
 from rema_data.errors import InfrastructureError, InputError, IntegrityError, RunMismatchError
+from rema_data.interrupts import check
+from rema_data.leftovers import temporary_folder
 from rema_data.progress import Progress, Silent
 from rema_data.schema import StepOutcome
 from rema_data.storage import storage_errors
@@ -112,6 +112,7 @@ def _check_disjoint(shards: Sequence[RunFolder]) -> dict[int, Path]:
     """The folder that holds each scenario; raise where two shards hold the same one."""
     owner: dict[int, Path] = {}
     for shard in shards:
+        check()
         indices = {row["index"] for name in (ANSWERS, OUTCOMES) for _, row in read_journal(shard.records, name)}
         for index in sorted(indices & owner.keys()):
             raise InputError(
@@ -128,14 +129,10 @@ def _staged(output: Path) -> Iterator[Path]:
     """A folder beside ``output`` that becomes it at the end, or is deleted."""
     with storage_errors(output):
         output.parent.mkdir(parents=True, exist_ok=True)
-        staging = Path(tempfile.mkdtemp(prefix=f".{output.name}.merging-", dir=output.parent))
-        staging.chmod(0o755)
-        try:
+        with temporary_folder(f".{output.name}.merging-", output.parent) as staging:
+            staging.chmod(0o755)
             yield staging
             staging.replace(output)
-        except BaseException:
-            shutil.rmtree(staging, ignore_errors=True)
-            raise
 
 
 def _copy_records(shards: Sequence[RunFolder], whole: RunFolder) -> None:
@@ -151,6 +148,7 @@ def _copy_records(shards: Sequence[RunFolder], whole: RunFolder) -> None:
                 rows: dict[int, list[dict[str, Any]]] = {}
                 for number, row in read_journal(source, name):
                     rows.setdefault(number, []).append(row)
+                check()
                 for number, some in rows.items():
                     with closing(Journal(target, name, numbers[number])) as journal:
                         journal.append(some)

@@ -18,6 +18,8 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from rema_data import grid
+from rema_data.bounded import npz_arrays, zstd_bytes
+from rema_data.interrupts import check
 from rema_data.schema import Observation, Situation
 from rema_data.storage import write_atomic
 
@@ -26,6 +28,14 @@ __all__ = ["Block", "ObservationCache"]
 FORMAT = "rema observation cache 3"
 _EE = (2, grid.EE_PIXELS, grid.EE_PIXELS)
 _SCENE = (grid.SCENE_PIXELS, grid.SCENE_PIXELS)
+_ROWS: dict[str, tuple[str, tuple[int, ...]]] = {
+    "scenes": ("uint16", _SCENE),
+    "which": ("uint32", ()),
+    "depths": ("uint16", _EE),
+    "masks": ("uint8", (math.prod(_EE) // 8,)),
+}
+"""Type of every array, and shape of one of its rows."""
+_SLACK = 1 << 16
 _CHECKSUM, _SIZE = 32, 8
 """Bytes of the two fields before the arrays."""
 
@@ -76,7 +86,10 @@ class ObservationCache:
         """The block of these situations, made again where the file is missing or damaged."""
         path = self._path(situations)
         found = _payload(path)
-        return self._make(path, situations) if found is None else _decode(found)
+        try:
+            return self._make(path, situations) if found is None else _decode(found, len(situations))
+        except ValueError:  # whole, and of another form
+            return self._make(path, situations)
 
     def _make(self, path: Path, situations: Sequence[Situation]) -> Block:
         scenes = np.empty((len(situations), *_SCENE), np.uint16)
@@ -85,6 +98,7 @@ class ObservationCache:
         depths: list[npt.NDArray[np.uint16]] = []
         masks: list[npt.NDArray[np.bool_]] = []
         for n, situation in enumerate(situations):
+            check()
             seen = self._observe(situation)
             scenes[n] = seen.scene
             if (
@@ -125,9 +139,13 @@ def _payload(path: Path) -> bytes | None:
     return content if hashlib.sha256(content).digest() == data[:_CHECKSUM] else None
 
 
-def _decode(content: bytes) -> Block:
-    raw = pa.Codec("zstd").decompress(content[_SIZE:], int.from_bytes(content[:_SIZE], "big"), asbytes=True)
-    with np.load(io.BytesIO(raw), allow_pickle=False) as arrays:
-        scenes, which, depths, masks = (arrays[name] for name in ("scenes", "which", "depths", "masks"))
+def _decode(content: bytes, count: int) -> Block:
+    """Inverse of ``_encode`` for a block of ``count`` situations; a ValueError for anything else."""
+    most = count * sum(np.dtype(dtype).itemsize * math.prod(row) for dtype, row in _ROWS.values()) + _SLACK
+    raw = zstd_bytes(content[_SIZE:], int.from_bytes(content[:_SIZE], "big"), most)
+    arrays = npz_arrays(raw, _ROWS, dict.fromkeys(_ROWS, count))
+    scenes, which, depths, masks = (arrays[name] for name in _ROWS)
+    if len(scenes) != count or len(which) != count or len(depths) != len(masks) or (which >= len(depths)).any():
+        raise ValueError(f"it does not hold {count} observations")
     unpacked = np.unpackbits(masks, axis=1, count=math.prod(_EE)).astype(bool).reshape(len(depths), *_EE)
     return Block(scenes, which, depths, unpacked)

@@ -26,7 +26,7 @@ from evaluator.runner.finalize import remember_run, seal_run, write_tables
 from evaluator.runner.observation_cache import ObservationCache
 from evaluator.runner.questions import batches, check_faults, infer_batches, observe_batches, shuffled
 from evaluator.scenarios import ScenarioList, load_list
-from rema_data.errors import InputError, PolicyFailureError, SubmissionError
+from rema_data.errors import InputError, PolicyFailureError, RunMismatchError, SubmissionError
 from rema_data.progress import Progress, Silent
 from rema_data.schema import Situation
 from rema_data.storage import rema_home
@@ -210,15 +210,23 @@ class _Run:
         return self.backend.open_policy(config.policy, config.checkpoint, config.device, log, config.sandbox)
 
     def _note_policy(self, policy: PolicyProcess) -> None:
-        known = self.folder.header["policy"].get("privileged")
-        if known not in (None, policy.privileged):
-            raise SubmissionError(
-                f"policy {self.config.policy.name} has `privileged` {policy.privileged}, "
-                f"earlier in this run it had {known}",
-                hint="make `privileged` a constant of its class, and evaluate it into a new folder (--output)",
+        recorded = self.folder.header["identity"]["policy_digest"]
+        if getattr(policy, "digest", recorded) != recorded:  # of what runs
+            raise RunMismatchError(
+                f"policy {self.config.policy.name} is not the one of this run: its code or its weights changed",
+                hint="leave its folder and its weights alone while it is evaluated; to evaluate what is there now, "
+                "choose a new folder (--output)",
                 policy=self.config.policy.name,
             )
-        self.folder.set_policy(privileged=policy.privileged)
+        for tag in ("privileged", "simulator"):
+            found, known = getattr(policy, tag, False), self.folder.header["policy"].get(tag)
+            if known not in (None, found):
+                raise SubmissionError(
+                    f"policy {self.config.policy.name} has `{tag}` {found}, earlier in this run it had {known}",
+                    hint=f"make `{tag}` a constant of its class, and evaluate it into a new folder (--output)",
+                    policy=self.config.policy.name,
+                )
+            self.folder.set_policy(**{tag: found})
         isolation = getattr(policy, "isolation", None)
         if isolation is not None and str(isolation) != self._told:
             self._told = str(isolation)  # it is started more than once

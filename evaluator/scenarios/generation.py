@@ -27,6 +27,7 @@ from evaluator.sim.reference import prepare
 from evaluator.sim.simulator import Simulator, process_simulator
 from evaluator.sim.spawn import episode_generator
 from rema_data.errors import InputError, IntegrityError
+from rema_data.interrupts import check
 from rema_data.manifests import read_manifest
 from rema_data.progress import Progress, Silent
 from rema_data.repair import restore
@@ -64,6 +65,7 @@ def generate_list(task: str, split: str, count: int, pool: Executor) -> Iterator
     """Scenarios 0 to ``count`` - 1 of a list, in order, for any number of workers."""
     jobs = [(check_task(task), split, range(start, min(start + _CHUNK, count))) for start in range(0, count, _CHUNK)]
     for chunk in pool.map(_draw_chunk, jobs):
+        check()
         yield from chunk
 
 

@@ -13,11 +13,14 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
+import pydantic
+from typing_extensions import TypedDict  # pydantic needs this one before Python 3.12
 
+from rema_data.bounded import MOST_ROWS, parquet_table
 from rema_data.errors import InputError, IntegrityError, MissingFileError
 from rema_data.manifests import manifests_dir, read_manifest
 from rema_data.repair import restore
@@ -34,6 +37,7 @@ from rema_data.schema import (
     tool_steps,
 )
 from rema_data.storage import write_atomic
+from rema_data.validation import validated
 
 __all__ = [
     "ScenarioList",
@@ -58,6 +62,15 @@ _POSE: dict[type, tuple[str, ...]] = {
     Grip: ("x_m", "y_m", "z_m", "yaw_rad", "opening_m"),
     Pinch: ("x_m", "y_m", "z_m", "yaw_rad", "left_m", "right_m"),
 }
+
+
+@pydantic.with_config(pydantic.ConfigDict(extra="allow", strict=True))
+class _Entry(TypedDict):
+    """A list in the manifest."""
+
+    file: str
+    sha256: str
+    count: Annotated[int, pydantic.Field(ge=1, le=MOST_ROWS)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,11 +248,13 @@ def load_list(task: str, split: str = "test", version: str | None = None) -> Sce
             task=task,
             split=split,
         )
-    scenarios = _read(path.parent / entry["file"], entry["sha256"], task, split)
-    return ScenarioList(task, split, version, entry["sha256"], scenarios)
+    listed = validated(_Entry, entry, f"{path}: {task}/{split}", hint=restore(path), error=IntegrityError)
+    scenarios = _read(path.parent / listed["file"], listed, task, split)
+    return ScenarioList(task, split, version, listed["sha256"], scenarios)
 
 
-def _read(path: Path, sha256: str, task: str, split: str) -> tuple[Scenario, ...]:
+def _read(path: Path, listed: _Entry, task: str, split: str) -> tuple[Scenario, ...]:
+    sha256, count = listed["sha256"], listed["count"]
     if not path.is_file():
         raise MissingFileError(f"scenario list {path} does not exist", hint=restore(path), path=str(path))
     payload = path.read_bytes()
@@ -252,13 +267,32 @@ def _read(path: Path, sha256: str, task: str, split: str) -> tuple[Scenario, ...
             expected=sha256,
             got=got,
         )
-    table = pq.read_table(io.BytesIO(payload))
-    if table.schema.names != _schema(task).names:
+    try:
+        table = parquet_table(payload, count)
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise IntegrityError(
+            f"scenario list {path} cannot be read: {error}", hint=restore(path), path=str(path)
+        ) from error
+    if table.schema.names != _schema(task).names or table.schema.types != _schema(task).types:
         raise IntegrityError(
             f"scenario list {path} does not have the columns of a {task} list",
             hint="install the version of rema that the list belongs to",
             path=str(path),
         )
+    if table.num_rows != count or table["index"].to_pylist() != list(range(count)):
+        raise IntegrityError(
+            f"scenario list {path} does not have the scenarios 0 to {count - 1}", hint=restore(path), path=str(path)
+        )
+    try:
+        return _scenarios(table, task, split)
+    except (ValueError, KeyError, TypeError) as error:
+        raise IntegrityError(
+            f"scenario list {path} holds a scenario that cannot be: {error}", hint=restore(path), path=str(path)
+        ) from error
+
+
+def _scenarios(table: pa.Table, task: str, split: str) -> tuple[Scenario, ...]:
+    """The rows of a list; raises ValueError, KeyError or TypeError where one lacks a part."""
     columns = table.to_pydict()
     shapes = {shape.value: shape for shape in Shape}
 

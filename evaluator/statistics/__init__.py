@@ -1,12 +1,13 @@
 """The statistics of the tables.
 
-``rates`` (one policy), ``pairs`` (two policies on the same scenarios), ``families`` (many comparisons at once) and
-``sequential`` (looking early).
+``rates`` (one policy), ``pairs`` (two policies on the same scenarios), ``methods`` (ways of training, over seeds),
+``families`` (many comparisons at once) and ``sequential`` (looking early).
 """
 
 from __future__ import annotations
 
 from evaluator.statistics.families import benjamini_hochberg, holm, tie_letters
+from evaluator.statistics.methods import MethodDifference, MethodRate, method_difference, method_rate
 from evaluator.statistics.pairs import PairTable, detectable_difference, midp_mcnemar, pair_table, paired_interval
 from evaluator.statistics.rates import (
     clopper_pearson,
@@ -21,6 +22,8 @@ from evaluator.statistics.rates import (
 from evaluator.statistics.sequential import QuickLook, QuickResult, difference_sequence, log_e_value, rate_sequence
 
 __all__ = [
+    "MethodDifference",
+    "MethodRate",
     "PairTable",
     "QuickLook",
     "QuickResult",
@@ -33,6 +36,8 @@ __all__ = [
     "format_rate",
     "holm",
     "log_e_value",
+    "method_difference",
+    "method_rate",
     "midp_mcnemar",
     "pair_table",
     "paired_interval",

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import h5py
 
 from rema_data import storage
+from rema_data.convert.hdf5_written import Written
 from rema_data.errors import IntegrityError, MissingFileError, RemaError
 
 if TYPE_CHECKING:
@@ -78,13 +79,18 @@ class _Sink(io.RawIOBase):
 
 
 @contextmanager
-def new_file(path: Path) -> Iterator[tuple[h5py.File, Callable[[], None]]]:
-    """As ``storage.new_file``, for HDF5; and a function that raises the OSError of the first refused write."""
+def new_file(path: Path) -> Iterator[tuple[h5py.File, Callable[[], None], Written]]:
+    """As ``storage.new_file``, for HDF5; and a function that raises the OSError of the first refused write.
+
+    What the block notes in ``Written`` is read back before the file gets its name.
+    """
     with storage.new_file(path) as file:
-        sink = _Sink(file.raw)
+        sink, written = _Sink(file.raw), Written()
         with h5py.File(sink, "w", libver=_LIBVER) as root:
-            yield root, sink.check
+            yield root, sink.check, written
         sink.check()
+        if (where := written.differs(Path(file.name))) is not None:
+            raise storage.not_written(path, where)
 
 
 def damaged(path: Path, why: str) -> IntegrityError:

@@ -17,12 +17,14 @@ import pyarrow as pa
 
 from rema_data.convert.base import ImportedBlock, Maps
 from rema_data.convert.hdf5_file import FORMAT, VERSION, damaged, open_file, reading
+from rema_data.convert.hdf5_parts import attributes, dataset, has, members, part, values
 from rema_data.convert.layout import from_array, obs_dtype, stored_end_effectors, stored_scenes, trajectory
 from rema_data.convert.pieces import PIECE_STEPS, Piece
 from rema_data.errors import InputError, MissingFileError
 from rema_data.grid import EE_PIXELS, SCENE_PIXELS
 from rema_data.release.manifest import Manifest, parse_manifest
 from rema_data.repair import upgrade
+from rema_data.schema import TASKS
 from rema_data.store.block import BlockKey, EncodedMaps
 from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, arrow_schema, check_version, columns_at
 from rema_data.store.tables import complete, episodes_table
@@ -115,13 +117,13 @@ class _File:
         header = self._header()
         self._maps: Maps = header["maps"]
         self._version: int = header["schema_version"]
-        self.manifest = parse_manifest(root["rema/manifest"][()].tobytes(), f"inside {path}")
-        group = root.get("rema/card", {})
-        self.card = {str(group[name].attrs["path"]): group[name][()].tobytes() for name in group}
+        self.manifest = parse_manifest(values(root, "rema/manifest").tobytes(), f"inside {path}")
+        card = members(part(root, "rema/card")) if has(root, "rema/card") else ()
+        self.card = {str(file.attrs["path"]): values(file.parent, name).tobytes() for name, file in card}
         self.demos = self._index()
 
     def _header(self) -> Row:
-        header = dict(self._root["rema"].attrs) if "rema" in self._root else {}
+        header = attributes(part(self._root, "rema")) if has(self._root, "rema") else {}
         if header.get("format") != FORMAT:
             raise InputError(
                 f"{self.path} was not written by `rema export`",
@@ -142,13 +144,13 @@ class _File:
     def _index(self) -> dict[BlockKey, list[tuple[str, Row]]]:
         """Demos of every block with their columns, in the order of the episodes."""
         found: dict[BlockKey, list[tuple[str, Row]]] = {}
-        for name, demo in self._root["data"].items():
+        for name, demo in members(part(self._root, "data")):
             if not _DEMO.fullmatch(name) or "episode" not in demo.attrs:
                 self._changed["not an episode of the release"].append(name)
                 continue
             row = self._episode(name, demo)
             key = BlockKey(row["round"], row["task"], row["split"])
-            if f"rema/{key.path}" not in self._root:
+            if not has(self._root, f"rema/{key.path}"):
                 raise self._contradiction(name, f"says that it belongs to {key.path}, which is not in the file")
             version = self._version_of(key)
             row.update((item.name, item.default) for item in EPISODE_COLUMNS if item.since > version)
@@ -162,10 +164,10 @@ class _File:
 
     def _episode(self, name: str, demo: h5py.Group) -> Row:
         """Columns of an episode from the attributes of its demo."""
-        attributes = dict(demo.attrs)
+        given = attributes(demo)
         row: Row = {}
         for column in EPISODE_COLUMNS:
-            value = attributes.get(column.name)
+            value = given.get(column.name)
             if value is None:
                 if not column.nullable and column.since == 1:
                     raise self._contradiction(name, f"has no attribute {column.name}")
@@ -177,13 +179,15 @@ class _File:
             else:
                 value = value.item()
             row[column.name] = value
-        if row["steps"] < 1 or attributes.get("num_samples") != row["steps"]:
-            raise self._contradiction(name, f"has {attributes.get('num_samples')} samples, and {row['steps']} steps")
+        if row["task"] not in TASKS:
+            raise self._contradiction(name, f"is of the unknown task {row['task']!r}")
+        if not 1 <= row["steps"] <= len(TASKS[row["task"]]) or given.get("num_samples") != row["steps"]:
+            raise self._contradiction(name, f"has {given.get('num_samples')} samples, and {row['steps']} steps")
         return row
 
     def _version_of(self, key: BlockKey) -> int:
         """Schema version of a block: that of the release, unless it comes from an earlier one."""
-        version = self._root[f"rema/{key.path}"].attrs.get("schema_version", self._version)
+        version = attributes(part(self._root, f"rema/{key.path}")).get("schema_version", self._version)
         return check_version(version, f"{self.path}, {key.path}")
 
     def _contradiction(self, name: str, why: str) -> Exception:
@@ -192,7 +196,7 @@ class _File:
     def pieces(self, key: BlockKey) -> Iterator[Piece]:
         """Pieces of a block."""
         with reading(self.path):
-            columns = _Columns(self._root[f"rema/{key.path}"], self._version_of(key))
+            columns = _Columns(part(self._root, f"rema/{key.path}"), self._version_of(key))
         waiting: list[tuple[str, Row]] = []
         steps = 0
         for item in self.demos[key]:
@@ -212,7 +216,7 @@ class _File:
             if not columns.hold(own, row["episode"]):
                 raise self._contradiction(name, "does not begin at its first_step in the columns of its steps")
             with reading(self.path):
-                demo = self._root[f"data/{name}"]
+                demo = part(self._root, f"data/{name}")
                 try:
                     scenes.append(stored_scenes(self._obs(demo, name, "scene", count)))
                     depth, mask = stored_end_effectors(self._obs(demo, name, "end_effector", count))
@@ -229,18 +233,18 @@ class _File:
         return Piece(episodes_table(rows, columns.version), columns.table.take(np.concatenate(chosen)), maps)
 
     def _obs(self, demo: h5py.Group, name: str, kind: str, count: int) -> Array:
-        dataset = demo[f"obs/{kind}"]
+        found = dataset(demo, f"obs/{kind}")
         wanted = (count, *_OBS[kind])
-        if dataset.shape != wanted or dataset.dtype != obs_dtype(self._maps):
-            what = f"holds {dataset.dtype} {dataset.shape}, not {obs_dtype(self._maps)} {wanted}"
+        if found.shape != wanted or found.dtype != obs_dtype(self._maps):
+            what = f"holds {found.dtype} {found.shape}, not {obs_dtype(self._maps)} {wanted}"
             raise self._contradiction(name, f"is not as it was exported: obs/{kind} {what}")
-        obs: Array = dataset[()]
+        obs: Array = found[()]
         return obs
 
     def _compare(self, name: str, demo: h5py.Group, arrays: dict[str, Array]) -> None:
         """Take note of arrays for robomimic that do not follow from the columns any more."""
         for kind, array in arrays.items():
-            found = demo[kind][()] if kind in demo else np.empty(0)
+            found = values(demo, kind) if has(demo, kind) else np.empty(0)
             if found.shape != array.shape or not np.allclose(found, array, rtol=0, atol=_ROUNDING):
                 self._changed[f"other {kind} than the columns say, which are imported"].append(name)
 
@@ -259,7 +263,7 @@ class _Columns:
     def __init__(self, group: h5py.Group, version: int) -> None:
         self.version = version
         known = columns_at(STEP_COLUMNS, version)
-        arrays = [from_array(group[column.name][()], column) for column in known]
+        arrays = [from_array(values(group, column.name), column) for column in known]
         self.table = complete(pa.Table.from_arrays(arrays, schema=arrow_schema(known, version)), STEP_COLUMNS)
         self.trajectory = trajectory(self.table)
         self._episode, self._step = (self.table[name].to_numpy() for name in ("episode", "step"))

@@ -11,8 +11,10 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
+from rema_data import interrupts
 from rema_data.convert.base import ExportedFile, ExportPlan
 from rema_data.convert.hdf5_file import FORMAT, VERSION, new_file, open_file, reading
+from rema_data.convert.hdf5_written import Written
 from rema_data.convert.layout import obs_of_end_effectors, obs_of_scenes, to_array, trajectory
 from rema_data.convert.pieces import Piece, read_pieces
 from rema_data.errors import RunMismatchError
@@ -51,9 +53,10 @@ def write_file(plan: ExportPlan, task: str, blocks: Sequence[BlockEntry], progre
                 )
     else:
         progress.phase(f"export {task}", steps)
-        with new_file(path) as (root, check):
-            _Writer(root, check, plan, progress).write(task, blocks)
+        with new_file(path) as (root, check, written):
+            _Writer(root, check, written, plan, progress).write(task, blocks)
             root["rema"].attrs.update(identity)
+            written.attributes("/rema", identity)
     return ExportedFile(path, episodes, steps, path.stat().st_size, new)
 
 
@@ -77,9 +80,12 @@ def _identity(plan: ExportPlan, blocks: Sequence[BlockEntry]) -> dict[str, Any]:
 class _Writer:
     """Writes into a new file and counts its demos."""
 
-    def __init__(self, root: h5py.File, check: Callable[[], None], plan: ExportPlan, progress: Progress) -> None:
+    def __init__(
+        self, root: h5py.File, check: Callable[[], None], written: Written, plan: ExportPlan, progress: Progress
+    ) -> None:
         self._root = root
         self._check = check
+        self._written = written
         self._release = plan.release
         self._options = plan.options
         self._progress = progress
@@ -89,25 +95,28 @@ class _Writer:
 
     def write(self, task: str, blocks: Sequence[BlockEntry]) -> None:
         release, rema = self._release, _group(self._root, "rema")
-        _write_bytes(rema, "manifest", release.manifest.to_bytes())
+        self._write_bytes(rema, "manifest", release.manifest.to_bytes())
         card = _group(rema, "card")
         own = [file for file in release.manifest.files if file.block is None and release.has(file)]
         for number, file in enumerate(own):
-            _write_bytes(card, str(number), release.file(file).read_bytes()).attrs["path"] = file.path
+            self._write_bytes(card, str(number), release.file(file).read_bytes()).attrs["path"] = file.path
+            self._written.attributes(f"{card.name}/{number}", {"path": file.path})
         for block in blocks:
             reader = release.block(block)
-            _write_columns(_group(rema, block.key.path), reader, release.manifest.schema_version)
+            self._write_columns(_group(rema, block.key.path), reader, release.manifest.schema_version)
             first_step = 0
             for piece in read_pieces(reader):
                 self._write_piece(piece, first_step)
                 first_step += piece.steps.num_rows
                 self._progress.advance(piece.steps.num_rows)
-        self._data.attrs["total"] = sum(block.steps for block in blocks)
         environment = {"env_name": f"rema-{task}", "type": _GYM, "env_kwargs": {"task": task}}
-        self._data.attrs["env_args"] = json.dumps(environment)
+        about = {"total": sum(block.steps for block in blocks), "env_args": json.dumps(environment)}
+        for name, value in about.items():
+            self._data.attrs[name] = value
+        self._written.attributes(self._data.name, about)
         mask = _group(self._root, "mask")
         for name, demos in self._filters.items():
-            mask[name] = np.array(demos, "S")
+            self._put(mask, name, np.array(demos, "S"))
         if "val" in mask:
             mask["valid"] = mask["val"]  # robomimic's own name for it
 
@@ -121,13 +130,14 @@ class _Writer:
             row["first_step"] += first_step
             demo = self._new_demo(row)
             for name, array in arrays.items():
-                demo[name] = array[rows]
+                self._put(demo, name, array[rows])
             seen = {"scene": scenes[rows], "end_effector": end_effectors[maps.ee_row[rows]]}
             for name, obs in seen.items():
-                _write_obs(demo, "obs", name, obs)
+                self._write_obs(demo, "obs", name, obs)
                 if options.next_obs:
-                    _write_obs(demo, "next_obs", name, np.concatenate([obs[1:], obs[-1:]]))
+                    self._write_obs(demo, "next_obs", name, np.concatenate([obs[1:], obs[-1:]]))
             self._check()
+            interrupts.check()
 
     def _new_demo(self, row: dict[str, Any]) -> h5py.Group:
         name = f"demo_{self._demos}"
@@ -136,11 +146,14 @@ class _Writer:
         properties.set_attr_phase_change(_COMPACT_ATTRIBUTES, _COMPACT_ATTRIBUTES // 2)
         properties.set_obj_track_times(False)
         demo = h5py.Group(h5py.h5g.create(self._data.id, name.encode(), gcpl=properties))
-        demo.attrs["num_samples"] = row["steps"]
+        about = {"num_samples": row["steps"]}
         for column in EPISODE_COLUMNS:
             value = row.get(column.name)
             if value is not None:
-                demo.attrs[column.name] = value if column.type == "string" else np.dtype(column.type).type(value)
+                about[column.name] = value if column.type == "string" else np.dtype(column.type).type(value)
+        for key, value in about.items():
+            demo.attrs[key] = value
+        self._written.attributes(demo.name, about)
         names = [row["split"], f"round_{row['round']}", f"round_{row['round']}_{row['split']}"]
         if row["success"]:
             names += [f"{row['split']}_success", "success"]
@@ -148,32 +161,38 @@ class _Writer:
             self._filters[filter_key].append(name)
         return demo
 
+    def _put(self, group: h5py.Group, name: str, array: Array) -> None:
+        group[name] = array
+        self._written.array(f"{group.name}/{name}", array)
+
+    def _create(self, group: h5py.Group, name: str, array: Array, **options: Any) -> h5py.Dataset:
+        self._written.array(f"{group.name}/{name}", array)
+        return group.create_dataset(name, data=array, **options)
+
+    def _write_obs(self, demo: h5py.Group, group: str, name: str, obs: Array) -> None:
+        packed = {"compression": "gzip", "compression_opts": _GZIP_LEVEL}
+        self._create(_group(demo, group), name, obs, chunks=(1, *obs.shape[1:]), **packed)
+
+    def _write_columns(self, group: h5py.Group, reader: BlockReader, usual_version: int) -> None:
+        steps = reader.steps()
+        version = min(table_version(steps), table_version(reader.episodes()))
+        if version != usual_version:  # a block of an earlier release
+            group.attrs["schema_version"] = version
+            self._written.attributes(group.name, {"schema_version": version})
+        for column in columns_at(STEP_COLUMNS, version):
+            array = to_array(steps[column.name], column)
+            packed = {"compression": "gzip", "shuffle": True} if len(array) else {}
+            dataset = self._create(group, column.name, array, **packed)
+            notes = {"meaning": column.meaning, "unit": column.unit, "frame": column.frame}
+            dataset.attrs.update({key: text for key, text in notes.items() if text})
+
+    def _write_bytes(self, group: h5py.Group, name: str, data: bytes) -> h5py.Dataset:
+        packed = {"compression": "gzip"} if data else {}
+        return self._create(group, name, np.frombuffer(data, np.uint8), **packed)
+
 
 def _group(parent: h5py.Group, path: str) -> h5py.Group:
     """A group, and those on the way to it. HDF5 would make these of itself, and write the time into them."""
     for name in path.split("/"):
         parent = parent[name] if name in parent else parent.create_group(name)
     return parent
-
-
-def _write_obs(demo: h5py.Group, group: str, name: str, obs: Array) -> None:
-    chunks = (1, *obs.shape[1:])
-    _group(demo, group).create_dataset(name, data=obs, chunks=chunks, compression="gzip", compression_opts=_GZIP_LEVEL)
-
-
-def _write_columns(group: h5py.Group, reader: BlockReader, usual_version: int) -> None:
-    steps = reader.steps()
-    version = min(table_version(steps), table_version(reader.episodes()))
-    if version != usual_version:  # a block of an earlier release
-        group.attrs["schema_version"] = version
-    for column in columns_at(STEP_COLUMNS, version):
-        array = to_array(steps[column.name], column)
-        packed = {"compression": "gzip", "shuffle": True} if len(array) else {}
-        dataset = group.create_dataset(column.name, data=array, **packed)
-        notes = {"meaning": column.meaning, "unit": column.unit, "frame": column.frame}
-        dataset.attrs.update({key: text for key, text in notes.items() if text})
-
-
-def _write_bytes(root: h5py.Group, name: str, data: bytes) -> h5py.Dataset:
-    packed = {"compression": "gzip"} if data else {}
-    return root.create_dataset(name, data=np.frombuffer(data, np.uint8), **packed)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from rema_data import interrupts
 from rema_data.convert.base import Format, Source
 from rema_data.convert.formats import find_format
 from rema_data.errors import InputError, RunMismatchError
+from rema_data.leftovers import temporary_folder
 from rema_data.progress import Progress, Silent
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, Manifest, check_name
@@ -60,7 +61,7 @@ def import_release(
     reader = find_format(format)
     if name is not None:
         check_name(name)
-    with reader.read(sources) as source, storage_errors(root):
+    with interrupts.held(), reader.read(sources) as source, storage_errors(root):
         name = name or source.manifest.name
         if (root / name / MANIFEST).exists():
             raise RunMismatchError(
@@ -70,8 +71,8 @@ def import_release(
             )
         root.mkdir(parents=True, exist_ok=True)
         progress.phase("import", source.steps)
-        with tempfile.TemporaryDirectory(prefix=f".{name}.importing-", dir=root) as folder:
-            staging = Path(folder) / name
+        with temporary_folder(f".{name}.importing-", root) as folder:
+            staging = folder / name
             staging.mkdir()
             written = _write_blocks(source, staging, progress)
             if not written:
@@ -111,6 +112,7 @@ def _write_blocks(source: Source, staging: Path, progress: Progress) -> dict[Blo
             writer.append(*piece)
             episodes += piece.episodes.num_rows
             progress.advance(piece.steps.num_rows)
+            interrupts.check()
         writer.close()
         written[key] = episodes
     return written
@@ -120,6 +122,7 @@ def _compare(original: Manifest, staging: Path, written: Mapping[BlockKey, int])
     """How the blocks that were written differ from those of the original."""
     differences = []
     for block in original.blocks:
+        interrupts.check()
         if block.key not in written:
             differences.append(f"{block.key.path}: not part of the export")
             continue

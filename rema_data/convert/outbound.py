@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rema_data.convert.base import ExportedFile, ExportOptions, ExportPlan, Format
 from rema_data.convert.formats import find_format
+from rema_data.interrupts import held
 from rema_data.progress import Progress, Silent
 from rema_data.release.folder import ReleaseFolder
 
@@ -37,4 +38,5 @@ def export_release(
     blocks = release.manifest.select(tasks, rounds, split)
     release.require(blocks)
     plan = ExportPlan(release, blocks, target, options or ExportOptions())
-    return writer.export(plan, progress or Silent())
+    with held():
+        return writer.export(plan, progress or Silent())

@@ -11,6 +11,7 @@ from rema_data.doctor.releases import ReleaseState
 from rema_data.download.part import SUFFIX
 from rema_data.loader.cache import cache_name, caches_folder
 from rema_data.loader.record import damaged_files, is_whole
+from rema_data.locks import Busy, lock
 from rema_data.release.folder import downloads_folder
 from rema_data.storage import storage_errors
 
@@ -76,20 +77,18 @@ def prune(found: Iterable[Disposable]) -> tuple[Disposable, ...]:
 
     Raises StorageError where something may not be deleted.
     """
-    from filelock import FileLock, Timeout
-
     deleted = []
     for item in found:
         if item.state == READY:
             continue
         path = Path(item.path)
         try:
-            with storage_errors(path), FileLock(item.lock, timeout=0):
+            with storage_errors(path), lock(Path(item.lock)):
                 if path.is_dir():
                     shutil.rmtree(path)
                 else:
                     path.unlink(missing_ok=True)
-        except Timeout:
+        except Busy:
             continue
         deleted.append(item)
     return tuple(deleted)

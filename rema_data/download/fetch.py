@@ -7,12 +7,14 @@ import os
 import shlex
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 from rema_data.download.plan import DownloadReport, Plan, check_space, make_plan
 from rema_data.download.pool import Outcome, fetch_files
 from rema_data.download.sources import Source
-from rema_data.errors import InputError, IntegrityError, MissingFileError, RunMismatchError, StorageError
+from rema_data.errors import InputError, IntegrityError, MissingFileError, RunMismatchError
+from rema_data.locks import LOCAL_HOME, lock
 from rema_data.progress import Progress, Silent
 from rema_data.release.folder import ReleaseFolder, downloads_folder, local_sources
 from rema_data.release.manifest import MANIFEST, Manifest, parse_manifest
@@ -24,7 +26,6 @@ __all__ = ["download", "fetch_again"]
 JOBS = 8
 _LISTED = 5
 """So many reasons why files could not be fetched are named in the error."""
-_POLL_S = 0.1
 _LOG = logging.getLogger(__name__)
 
 
@@ -39,12 +40,13 @@ def download(
     dry_run: bool = False,
     progress: Progress | None = None,
     manifest: str | os.PathLike[str] | None = None,
+    verify: bool = False,
 ) -> DownloadReport:
     """Bring a release, or a part of it, onto this machine.
 
-    A file that is here with its size is not fetched again (``rema verify`` rehashes). Every other file is fetched to
-    ``FILE.part``, resumed where an earlier run stopped, and renamed when its sha256 is the manifest's. Blocks
-    that the release shares with an earlier one land in the earlier one's folder, once.
+    A file that is here with its size is not fetched again, unless ``verify`` finds it damaged. Every other file is
+    fetched to ``FILE.part``, resumed where an earlier run stopped, and renamed when its sha256 is the manifest's.
+    Blocks that the release shares with an earlier one land in the earlier one's folder, once.
 
     Parameters
     ----------
@@ -65,6 +67,8 @@ def download(
     progress : Progress, optional
     manifest : path, optional
         Manifest of a release that is not published.
+    verify : bool
+        Rehash the files that are here, and fetch the damaged ones again.
 
     Returns
     -------
@@ -91,7 +95,7 @@ def download(
     only_local = offline or _offline_by_environment()
     asked = _sources(sources, wanted, only_local)
     _check_name_is_free(folder)
-    plan = make_plan(folder, files)
+    plan = make_plan(folder, files, verify)
     sink = Silent() if progress is None else progress
     outcome = Outcome(0, {}, ())
     again = f"rema download {wanted.name}"
@@ -99,7 +103,7 @@ def download(
         again += f" --manifest {shlex.quote(os.fspath(manifest))}"
     if not dry_run and plan.missing:
         with _locks(folder.root, {entry.holder for entry in plan.missing}, sink):
-            plan = make_plan(folder, files)  # another process may have fetched them meanwhile
+            plan = make_plan(folder, files, verify)  # another process may have fetched them meanwhile
             outcome = _fetch(folder, plan, asked, jobs or JOBS, sink)
     _raise_undelivered(outcome, len(plan.files), folder, asked, only_local, again)
     if not dry_run:
@@ -202,26 +206,13 @@ def _check_name_is_free(folder: ReleaseFolder) -> None:
 @contextmanager
 def _locks(root: Path, holders: Iterable[str], progress: Progress) -> Iterator[None]:
     """Keep other processes out of some folders. The order is fixed, so that two never wait for each other."""
-    from filelock import FileLock, Timeout
-
     with ExitStack() as stack:
         for holder in sorted(holders):
             path = root / f".{holder}.lock"
             with storage_errors(path):
                 root.mkdir(parents=True, exist_ok=True)
-                lock = FileLock(path)
-                try:
-                    lock.acquire(blocking=False)
-                except Timeout:
-                    progress.note(f"another process downloads {holder}: waiting for it")
-                    lock.acquire(poll_interval=_POLL_S)
-                except NotImplementedError as error:
-                    raise StorageError(
-                        f"the file system of {root} has no file locks",
-                        hint="set REMA_HOME to a folder on a local disk",
-                        path=str(path),
-                    ) from error
-            stack.callback(lock.release)
+                waiting = partial(progress.note, f"another process downloads {holder}: waiting for it")
+                stack.enter_context(lock(path, wait=True, waiting=waiting, hint=LOCAL_HOME))
         yield
 
 

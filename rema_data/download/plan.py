@@ -14,6 +14,7 @@ from rich.filesize import decimal
 from rema_data.download.part import SUFFIX
 from rema_data.download.sources import Source
 from rema_data.errors import StorageError
+from rema_data.interrupts import check
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, FileEntry
 from rema_data.storage import file_sha256
@@ -109,19 +110,22 @@ def _block_plan(name: str, entries: list[FileEntry], missing: list[FileEntry], s
 def _may_have(source: Source, entries: list[FileEntry]) -> bool:
     """Whether a local folder has the files; another source may have anything."""
     folder = source.folder()
-    return folder is None or all(_size(folder / entry.location) == entry.bytes for entry in entries)
+    return folder is None or all(
+        any(_size(folder / place) == entry.bytes for place in source.places(entry.location)) for entry in entries
+    )
 
 
-def make_plan(release: ReleaseFolder, files: Iterable[FileEntry]) -> Plan:
+def make_plan(release: ReleaseFolder, files: Iterable[FileEntry], rehash: bool = False) -> Plan:
     """What has to be done for ``files`` of a release.
 
     A file counts by its size once the manifest lies beside it, which is written last. Before that, what is there may
-    have come with another release of the name: it counts by its sha256.
+    have come with another release of the name: it counts by its sha256, as with ``rehash``.
     """
     wanted = tuple(files)
-    checked = (release.path / MANIFEST).is_file()
+    checked = not rehash and (release.path / MANIFEST).is_file()
 
     def here(entry: FileEntry) -> bool:
+        check()
         return release.has(entry) and (checked or file_sha256(release.file(entry)) == entry.sha256)
 
     return Plan(wanted, tuple(entry for entry in wanted if not here(entry)))

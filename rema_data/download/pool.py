@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from rema_data import interrupts
 from rema_data.download.failures import Stopped, Undelivered
 from rema_data.download.sources import Source
 from rema_data.download.transfer import Mirrors, Transfer
@@ -18,6 +19,10 @@ __all__ = ["Outcome", "fetch_files"]
 
 _GRACE_S = 1.0
 """So long an interrupted download waits for its threads. One that is stuck in a read ends later and writes nothing."""
+
+
+_Done = queue.SimpleQueue[tuple[int, BaseException | None]]
+"""What came of every file: bytes that came from the sources, and the error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +40,7 @@ def fetch_files(
     """Fetch files to ``root``; those that no source delivers are in the outcome. A full disk raises StorageError."""
     stop, lock = threading.Event(), threading.Lock()
     waiting: queue.SimpleQueue[FileEntry] = queue.SimpleQueue()
-    done: queue.SimpleQueue[tuple[int, BaseException | None]] = queue.SimpleQueue()
+    done: _Done = queue.SimpleQueue()
     for entry in sorted(entries, key=lambda entry: -entry.bytes):
         waiting.put(entry)
 
@@ -72,7 +77,7 @@ def fetch_files(
         for thread in threads:
             thread.start()
         for _ in entries:
-            bytes_moved, error = done.get()
+            bytes_moved, error = _next(done)
             moved += bytes_moved
             if isinstance(error, Undelivered):
                 undelivered.append(error)
@@ -86,3 +91,13 @@ def fetch_files(
         for source in sources:
             source.close()
     return Outcome(moved, mirrors.used(), tuple(undelivered))
+
+
+def _next(done: _Done) -> tuple[int, BaseException | None]:
+    """The next file that is done with."""
+    while True:
+        interrupts.check()
+        try:
+            return done.get(timeout=interrupts.POLL_S)
+        except queue.Empty:
+            continue

@@ -7,7 +7,6 @@ else is opened by fsspec and read in blocks from that byte on.
 from __future__ import annotations
 
 import os
-import re
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -19,9 +18,11 @@ from urllib3.exceptions import HTTPError
 from urllib3.exceptions import TimeoutError as WebTimeoutError
 
 from rema_data.download.failures import Faltered, Refused, answered
+from rema_data.download.labels import has_secret, label
 from rema_data.download.web import WebFolder
 from rema_data.errors import InputError
 from rema_data.repair import install
+from rema_data.storage import absolute
 
 __all__ = ["Source"]
 
@@ -45,8 +46,14 @@ class Source:
             raise InputError("a source is empty", hint="name a folder or a URL: --source https://host/releases")
         protocol = self.url.partition("://")[0] if "://" in self.url else "file"
         self.local = protocol in ("file", "local") and "::" not in self.url
-        self._web = WebFolder(self.url) if protocol in ("http", "https") else None
-        self.label = _without_secrets(self.url)
+        if self.local and "://" not in self.url:
+            self.url = str(absolute(self.url))
+        self.label = label(self.url)
+        self._secret = has_secret(self.url)
+        try:
+            self._web = WebFolder(self.url) if protocol in ("http", "https") else None
+        except ValueError as error:
+            raise self._unusable("it is not a URL") from error
         self._lock = threading.Lock()
         self._opened: tuple[Any, str] | None = None
 
@@ -70,17 +77,26 @@ class Source:
                 f"the source {self.label} needs a package that is not installed", hint=hint, source=self.label
             ) from error
         except ValueError as error:
-            raise InputError(
-                f"the source {self.label} cannot be used: {error}",
-                hint="name a folder, or a URL that begins with file://, https://, s3:// or another fsspec protocol",
-                source=self.label,
-            ) from error
+            ours = self._web is not None or not self._secret
+            raise self._unusable(str(error) if ours else type(error).__name__) from error
         except Exception:  # a server that does not answer now is found out when it is needed
             return
+
+    def _unusable(self, why: str) -> InputError:
+        hint = "name a folder, or a URL that begins with file://, https://, s3:// or another fsspec protocol"
+        if self._secret:
+            hint += "; in credentials, write / as %2F, @ as %40, ? as %3F, # as %23 and : as %3A"
+        return InputError(f"the source {self.label} cannot be used: {why}", hint=hint, source=self.label)
 
     def folder(self) -> Path | None:
         """The folder of a local source."""
         return Path(self._filesystem()[1]) if self.local else None
+
+    def places(self, location: str) -> tuple[str, ...]:
+        """Where a file, ``holder/path``, may lie below the URL: a URL may be that of the release's own folder."""
+        holder, _, path = location.partition("/")
+        own = self.url.rstrip("/").rpartition("/")[2] == holder
+        return (location, path) if own else (location,)
 
     @contextmanager
     def open(self, location: str, start: int, size: int) -> Iterator[tuple[int, Callable[[int], bytes]]]:
@@ -91,16 +107,17 @@ class Source:
         ``Refused`` where the file is absent or another one comes in its place, and ``Faltered`` where the source does
         not answer now.
         """
-        opened = self._open_blocks if self._web is None else self._web.open
         with ExitStack() as stack:
-            try:
-                first, read = stack.enter_context(opened(location, start, size))
-            except (Refused, Faltered):
-                raise
-            except _TIMEOUTS as error:
-                raise Refused("does not answer") from error
-            except Exception as error:
-                raise self._failure(error) from error
+            *others, last = self.places(location)
+            for place in others:
+                try:
+                    first, read = stack.enter_context(self._open(place, start, size))
+                    break
+                except Refused as error:
+                    if not error.absent:
+                        raise
+            else:
+                first, read = stack.enter_context(self._open(last, start, size))
 
             def next_bytes(most: int) -> bytes:
                 try:
@@ -109,6 +126,20 @@ class Source:
                     raise self._failure(error) from error
 
             yield first, next_bytes
+
+    @contextmanager
+    def _open(self, location: str, start: int, size: int) -> Iterator[tuple[int, Callable[[int], bytes]]]:
+        opened = self._open_blocks if self._web is None else self._web.open
+        with ExitStack() as stack:
+            try:
+                found = stack.enter_context(opened(location, start, size))
+            except (Refused, Faltered):
+                raise
+            except _TIMEOUTS as error:
+                raise Refused("does not answer") from error
+            except Exception as error:
+                raise self._failure(error) from error
+            yield found
 
     def close(self) -> None:
         """Close the connections that are kept for the next file."""
@@ -162,15 +193,12 @@ class Source:
         if isinstance(error, HTTPError):
             causes = (error.__cause__, *error.args)
             cause = next((cause for cause in causes if isinstance(cause, Exception)), None)
-            return str(error) if cause is None else self._words(cause)
+            if cause is not None:
+                return self._words(cause)
         name = type(error).__name__
+        if self._secret:  # what a library says may hold the URL, or a part of it
+            return getattr(error, "strerror", None) or name
         lines = str(error).replace(self.url, self.label).splitlines()
         if not lines:
             return name
         return (lines[0] if isinstance(error, OSError) else f"{name}: {lines[0]}")[:_LONGEST_ANSWER]
-
-
-def _without_secrets(url: str) -> str:
-    """The URL as messages show it: without user and password, and over HTTP without the query."""
-    shown = re.sub(r"(?<=://)[^/@]*@", "", url)
-    return re.sub(r"[?#].*", "", shown) if url.startswith(("http://", "https://")) else shown

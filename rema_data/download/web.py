@@ -16,9 +16,10 @@ from urllib.parse import SplitResult, quote, unquote, urljoin, urlsplit, urlunsp
 from urllib.request import getproxies, proxy_bypass
 
 import urllib3
-from urllib3.exceptions import ProtocolError
+from urllib3.exceptions import ProtocolError, ProxyError
 
-from rema_data.download.failures import Refused, answered
+from rema_data.download.failures import Faltered, Refused, answered
+from rema_data.download.labels import label
 
 __all__ = ["WebFolder"]
 
@@ -90,8 +91,9 @@ class WebFolder:
     def _get(self, url: str, headers: Mapping[str, str]) -> urllib3.BaseHTTPResponse:
         """The answer to one request. Nothing but a connection that was closed is asked again: mirrors come first."""
         parts = urlsplit(url)
+        proxy, manager = self._manager(parts)
         ask = partial(
-            self._manager(parts).request,
+            manager.request,
             "GET",
             url,
             headers={**headers, **self._login(parts, "Authorization")},
@@ -102,12 +104,19 @@ class WebFolder:
             enforce_content_length=False,
         )
         try:
-            return ask()
-        except ProtocolError:  # most often a kept connection that the server has closed meanwhile
-            return ask()
+            try:
+                return ask()
+            except ProtocolError:  # most often a kept connection that the server has closed meanwhile
+                return ask()
+        except ProxyError as error:
+            name = f"{parts.scheme}_proxy"
+            raise Faltered(
+                f"was not asked: the proxy {label(proxy)} ({name}) cannot be used: {_cause(error.original_error)}; "
+                f"correct or unset {name}, or name the host in no_proxy"
+            ) from error
 
-    def _manager(self, parts: SplitResult) -> urllib3.PoolManager:
-        """The connections to a server: through the proxy that the environment names for it, or direct."""
+    def _manager(self, parts: SplitResult) -> tuple[str, urllib3.PoolManager]:
+        """The proxy that the environment names for a server, or none, and the connections through it."""
         proxy = getproxies().get(parts.scheme, "")
         if proxy_bypass(_netloc(parts)):
             proxy = ""
@@ -126,7 +135,7 @@ class WebFolder:
                     if proxy
                     else urllib3.PoolManager(maxsize=_CONNECTIONS)
                 )
-            return self._managers[proxy]
+            return proxy, self._managers[proxy]
 
     @cached_property
     def _netrc(self) -> netrc.netrc | None:
@@ -148,6 +157,13 @@ class WebFolder:
         else:
             return {}
         return {header: f"Basic {base64.b64encode(words.encode()).decode()}"}
+
+
+def _cause(error: BaseException) -> str:
+    """Why a proxy did not do its work, in the words of the system, which hold no address."""
+    while error.__cause__ is not None:
+        error = error.__cause__
+    return getattr(error, "strerror", None) or (str(error) if type(error) is OSError else type(error).__name__)
 
 
 def _netloc(parts: SplitResult) -> str:

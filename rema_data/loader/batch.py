@@ -4,21 +4,29 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, SupportsIndex
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 from torch.utils.data import default_collate
 
+from rema_data.errors import InputError
 from rema_data.loader.convert import to_metres
 
 __all__ = ["Batch", "FloatBatch", "StepBatch"]
 
+Array = npt.NDArray[np.integer[Any] | np.bool_]
+
 
 class Batch:
-    """What both kinds of batch can do: they hold tensors whose first axis is the step."""
+    """What both kinds of batch can do: they hold tensors whose first axis is the step.
+
+    The kinds are dataclasses that are not frozen: Lightning sets the fields of a copy when it converts a batch.
+    """
 
     __slots__ = ()
     __match_args__: ClassVar[tuple[str, ...]]
@@ -34,28 +42,62 @@ class Batch:
     def __len__(self) -> int:
         return len(self.tensors[0])
 
-    def __getitem__(self, which: int | slice | Tensor) -> Self:
-        """Some steps of the batch, as a batch: of one step for an integer."""
-        if isinstance(which, int):
-            if not -len(self) <= which < len(self):
-                raise IndexError(f"step {which} is outside of the batch, which has {len(self)}")
-            which = slice(which, which + 1 or None)
-        return self._map(lambda tensor: tensor[which])
+    def __getitem__(self, which: SupportsIndex | slice | Sequence[int] | Array | Tensor) -> Self:
+        """Some steps of the batch, as a batch: of one step for an integer.
+
+        Raises
+        ------
+        IndexError
+            A step is outside of the batch.
+        InputError
+            Not a whole number, a slice, a row of whole numbers or a mask with one truth value a step.
+        """
+        if isinstance(which, slice):
+            return self._map(lambda tensor: tensor[which])
+        steps = _steps(which)
+        if steps.ndim == 0:
+            if not -len(self) <= int(steps) < len(self):
+                raise IndexError(f"step {int(steps)} is outside of the batch, which has {len(self)}")
+            steps = steps[None]
+        return self._map(lambda tensor: tensor[steps])
 
     def replace(self, **tensors: Tensor) -> Self:
         """The batch with some fields replaced, as after an augmentation."""
         return dataclasses.replace(self, **tensors)  # type: ignore[type-var]
 
-    def to(self, device: torch.device | str, non_blocking: bool = False) -> Self:
-        """The batch on another device."""
-        return self._map(lambda tensor: tensor.to(device, non_blocking=non_blocking))
+    def to(
+        self,
+        device: torch.device | str | int | torch.dtype | None = None,
+        dtype: torch.dtype | None = None,
+        *,
+        non_blocking: bool = False,
+    ) -> Self:
+        """The batch on another device, in another floating type, or both; ``to(dtype)`` as of a tensor.
+
+        Every field moves to the device. Only floating ones take the type: in half precision the action 4825 would
+        become 4824. A ``StepBatch`` has none: convert what its ``float()`` gives.
+        """
+        if isinstance(device, torch.dtype):
+            device, dtype = None, device
+        if dtype is not None and not (isinstance(dtype, torch.dtype) and dtype.is_floating_point):
+            raise InputError(
+                f"a batch cannot be converted to {dtype}",
+                hint="give a floating type, for example batch.to(device, torch.bfloat16); other fields keep theirs",
+            )
+        return self._map(
+            lambda tensor: tensor.to(
+                tensor.device if device is None else device,
+                dtype if tensor.is_floating_point() else None,
+                non_blocking=non_blocking,
+            )
+        )
 
     def pin_memory(self) -> Self:
         """The batch in page-locked memory, as ``DataLoader(pin_memory=True)`` asks for it."""
         return self._map(Tensor.pin_memory)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class StepBatch(Batch):
     """N steps, quantised: 61.5 KB a step.
 
@@ -87,7 +129,7 @@ class StepBatch(Batch):
         return FloatBatch(scene, end_effector, self.action, self.success, self.index)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class FloatBatch(Batch):
     """N steps as float32: 217 KB a step.
 
@@ -113,6 +155,22 @@ class FloatBatch(Batch):
     def float(self) -> FloatBatch:
         """The batch itself, so that a training loop takes both kinds."""
         return self
+
+
+def _steps(which: Any) -> Tensor:
+    """A step, or a row of steps or of truth values, as a tensor that indexes as numpy does."""
+    try:
+        steps = torch.as_tensor(None if isinstance(which, tuple) else which)  # a tuple would mean several axes
+    except (TypeError, ValueError, RuntimeError, OverflowError):
+        steps = torch.zeros(())
+    if not steps.numel() and steps.ndim == 1 and not isinstance(which, Tensor):
+        steps = steps.to(torch.int64)  # of an empty list
+    truths = steps.dtype == torch.bool
+    if steps.is_floating_point() or steps.is_complex() or steps.ndim > 1 or (truths and steps.ndim == 0):
+        raise InputError(
+            f"{which!r:.80} names no steps of a batch", hint="give a whole number, a slice, or one row of numbers"
+        )
+    return steps if truths else steps.to(torch.int64)  # bytes would be a mask
 
 
 def _collate(batch: Any, *, collate_fn_map: Mapping[Any, Any] | None = None) -> Any:

@@ -13,21 +13,24 @@ import shutil
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from rema_data import interrupts
 from rema_data.errors import StorageError
 from rema_data.loader.cache import DecodedCache, MapArrays, MemoryCache, cache_name, caches_folder
 from rema_data.loader.decode import MAP_ARRAYS, decode_blocks, map_rows, row_bytes
 from rema_data.loader.index import Categories, Index
 from rema_data.loader.record import is_whole, write_record
+from rema_data.locks import lock
 from rema_data.progress import Progress
 from rema_data.schema import Embodiment
-from rema_data.storage import storage_errors, sync_file, sync_folder
+from rema_data.storage import not_written, storage_errors, sync_file, sync_folder
 
 if TYPE_CHECKING:
     from rema_data.release.folder import ReleaseFolder
@@ -55,21 +58,13 @@ def open_cache(
     folder = caches_folder() if folder is None else folder
     path = folder / cache_name(release, blocks)
     if not is_whole(path):
-        from filelock import FileLock, Timeout  # only a builder needs it: a ready cache opens without
-
-        with _cache_errors(path):
-            folder.mkdir(parents=True, exist_ok=True)
-            lock = FileLock(folder / f"{path.name}.lock")
-            try:
-                lock.acquire(timeout=1.0)
-            except Timeout:
-                _LOG.info("waiting for another process that decodes %s", release.manifest.name)
-                lock.acquire()
-        try:
+        waiting = partial(_LOG.info, "waiting for another process that decodes %s", release.manifest.name)
+        with ExitStack() as stack:
+            with _cache_errors(path):
+                folder.mkdir(parents=True, exist_ok=True)
+                stack.enter_context(lock(folder / f"{path.name}.lock", wait=True, waiting=waiting))
             if not is_whole(path):
                 _build(release, blocks, path, progress)
-        finally:
-            lock.release()
     return DecodedCache(path)
 
 
@@ -115,6 +110,9 @@ def _build(release: ReleaseFolder, blocks: Sequence[BlockEntry], path: Path, pro
         share_repeats(index, categories, sink.open())
         with _cache_errors(path):
             np.save(temporary / "index.npy", index)
+            sink.check()
+            if not np.array_equal(np.load(temporary / "index.npy"), index):
+                raise not_written(path / "index.npy")
             files = sorted(temporary.iterdir())
             for file in files:
                 sync_file(file)
@@ -164,6 +162,7 @@ class _FileSink:
     def __init__(self, folder: Path, rows: dict[str, int]) -> None:
         self._folder = folder
         self._begin: dict[str, int] = {}
+        self._digests: dict[tuple[str, int, int], bytes] = {}  # of what was put, by array, first row and bytes
         for name, count in rows.items():
             dtype, shape = MAP_ARRAYS[name]
             header = io.BytesIO()
@@ -178,8 +177,20 @@ class _FileSink:
     def put(self, name: str, start: int, rows: Array) -> None:
         path = self._folder / f"{name}.npy"
         with _cache_errors(path), path.open("rb+") as file:
+            data = np.ascontiguousarray(rows).data
             file.seek(self._begin[name] + start * row_bytes(name))
-            file.write(np.ascontiguousarray(rows).data)
+            file.write(data)
+            self._digests[name, start, data.nbytes] = hashlib.sha256(data).digest()
+
+    def check(self) -> None:
+        """Read everything back; StorageError where it is not what was put."""
+        for (name, start, size), digest in sorted(self._digests.items()):
+            interrupts.check()
+            path = self._folder / f"{name}.npy"
+            with path.open("rb") as file:
+                file.seek(self._begin[name] + start * row_bytes(name))
+                if hashlib.sha256(file.read(size)).digest() != digest:
+                    raise not_written(path)
 
     def open(self) -> MapArrays:
         return DecodedCache(self._folder).maps

@@ -21,6 +21,7 @@ from rema_data.loader.batch import FloatBatch, StepBatch
 from rema_data.loader.cache import DecodedCache, MapArrays
 from rema_data.loader.convert import to_metres_cpu
 from rema_data.loader.index import to_frame
+from rema_data.positions import mark_table, refuse_foreign
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -67,7 +68,7 @@ class StepDataset(Dataset[StepBatch | FloatBatch]):
             np.arange(len(selected)),
         )
 
-    @property
+    @cached_property
     def fingerprint(self) -> str:
         """Identity of the release and of the selection, 32 hexadecimal digits: equal for equal tables."""
         return hashlib.sha256(self._identity.encode()).hexdigest()[:32]
@@ -80,7 +81,7 @@ class StepDataset(Dataset[StepBatch | FloatBatch]):
     @cached_property
     def table(self) -> pd.DataFrame:
         """One row a step, in the order of the dataset: task, round, split, episode, step, last, skill, success, ..."""
-        return to_frame(self._cache.index[self._selected], self._cache.categories)
+        return mark_table(to_frame(self._cache.index[self._selected], self._cache.categories), self.fingerprint)
 
     def __len__(self) -> int:
         return len(self._selected)
@@ -96,8 +97,10 @@ class StepDataset(Dataset[StepBatch | FloatBatch]):
         ------
         IndexError
             A position is outside of the dataset.
+        InputError
+            A single position instead of several, or positions that a sampler drew from another table.
         """
-        position, rows, maps = self.positions(indices), self.rows, self.maps
+        position, rows, maps = self.positions_of_batch(indices), self.rows, self.maps
         scene_row, ee_row = rows.scene.take(position), rows.ee.take(position)
         labels = (
             torch.from_numpy(rows.action.take(position)),
@@ -118,6 +121,16 @@ class StepDataset(Dataset[StepBatch | FloatBatch]):
 
         return FloatBatch(*to_metres_cpu(read, len(position)), *labels)
 
+    def positions_of_batch(self, indices: Indices) -> npt.NDArray[np.int64]:
+        """As ``positions``, for what a loader asks for: raises InputError where that is one position alone."""
+        if np.ndim(indices) == 0:  # type: ignore[arg-type]
+            raise InputError(
+                f"a batch of positions is expected, not the single {indices!r}",
+                hint="hand single positions over as DataLoader(dataset, sampler=..., batch_size=...), "
+                "and batches as batch_sampler=...",
+            )
+        return self.positions(indices)
+
     def positions(self, which: int | slice | Indices) -> npt.NDArray[np.int64]:
         """Positions as a new array, int64 (N,): negative ones count from the end.
 
@@ -126,8 +139,9 @@ class StepDataset(Dataset[StepBatch | FloatBatch]):
         IndexError
             One is outside of the dataset.
         InputError
-            They are not whole numbers, or not in one row.
+            They are not whole numbers, not in one row, or a sampler drew them from another table.
         """
+        refuse_foreign(which, self.fingerprint, len(self))
         if isinstance(which, slice):
             return self.rows.position[which].copy()
         given = np.atleast_1d(np.asarray(which))
@@ -172,6 +186,13 @@ class StepDataset(Dataset[StepBatch | FloatBatch]):
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "table"}
+
+    def __add__(self, other: Any) -> Any:
+        """Refused: in what torch would make of it, positions of the second part are those of the first."""
+        raise InputError(
+            "datasets of steps cannot be added: each counts its steps for itself",
+            hint="select the steps together, for example release.steps(tasks=[...], rounds=[...])",
+        )
 
 
 def identity(manifest_sha256: str, selection: dict[str, Any]) -> str:

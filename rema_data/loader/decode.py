@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from rema_data import interrupts
 from rema_data.errors import IntegrityError, MissingFileError
 from rema_data.grid import EE_PIXELS, SCENE_PIXELS
 from rema_data.heights import decode_heights
@@ -87,13 +88,15 @@ def decode_blocks(
     files = [file for file in release.manifest.files if file.block in wanted]
     pool = ThreadPoolExecutor(jobs, thread_name_prefix="rema-decode")
     try:
-        list(pool.map(lambda file: _check(release, file), files))
+        for _ in pool.map(lambda file: _check(release, file), files):
+            interrupts.check()
         index, categories = _read_index(release, blocks)
         pieces = list(_pieces(release, blocks))
         progress = progress or Silent()
         progress.phase(f"decode {release.manifest.name}", sum(piece.bytes for piece in pieces))
         for future in as_completed([pool.submit(piece.decode, put) for piece in pieces]):
             progress.advance(future.result())
+            interrupts.check()
     finally:
         pool.shutdown(cancel_futures=True)
     return index, categories

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from rema_data.json_files import read_json
 from rema_data.loader.decode import MAP_ARRAYS
 from rema_data.loader.index import INDEX_DTYPE
 from rema_data.storage import file_sha256, write_atomic
@@ -38,7 +39,7 @@ def write_record(folder: Path, files: Sequence[Path], about: Mapping[str, Any]) 
 
 def read_record(folder: Path) -> dict[str, Any]:
     """The record of a cache. Raises OSError, ValueError, KeyError or TypeError where it cannot be read."""
-    record = json.loads((folder / _RECORD).read_bytes())
+    record = read_json(folder / _RECORD)
     if record["version"] != CACHE_VERSION:
         raise ValueError(f"the cache has version {record['version']}")
     return dict(record)

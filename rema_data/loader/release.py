@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, SupportsIndex
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from rema_data.loader.cache import DecodedCache
 from rema_data.progress import Progress
 from rema_data.release.folder import ReleaseFolder, find_release
 from rema_data.release.manifest import BlockEntry, Manifest
+from rema_data.storage import absolute
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -42,7 +43,9 @@ class Release:
         progress: Progress | None = None,
     ) -> None:
         self.folder = folder
-        self._cache_option = cache
+        self._cache_option: Path | Literal["memory"] | None = None
+        if cache is not None:
+            self._cache_option = "memory" if cache == "memory" else absolute(cache)
         self._progress = progress
         self._tables: tuple[BlockKey, Any, Any] | None = None
 
@@ -77,16 +80,15 @@ class Release:
         IntegrityError, MissingFileError
             A file of the release is damaged or missing.
         """
-        if self._cache_option == "memory":
+        if isinstance(self._cache_option, str):
             return decode_to_memory(self.folder, self.blocks, self._progress)
-        folder = None if self._cache_option is None else Path(self._cache_option).expanduser()
-        return open_cache(self.folder, self.blocks, folder, self._progress)
+        return open_cache(self.folder, self.blocks, self._cache_option, self._progress)
 
     def steps(
         self,
         tasks: Iterable[str] | None = None,
-        split: str | None = None,
-        rounds: Iterable[int] | int | None = None,
+        split: str | Iterable[str] | None = None,
+        rounds: Iterable[int] | SupportsIndex | None = None,
         skills: Iterable[str] | None = None,
         which: Which = "last",
         maps: Delivery = "quantised",
@@ -97,9 +99,9 @@ class Release:
         ----------
         tasks : iterable of str, optional
             By default all tasks of the release, whether they are on this machine or not.
-        split : str, optional
+        split : str or iterable of str, optional
             ``train`` or ``val``; by default both.
-        rounds : iterable of int, optional
+        rounds : int or iterable of int, optional
             Collection rounds; by default all.
         skills : iterable of str, optional
             Keep the steps of these skills only (column ``skill``).
@@ -120,7 +122,7 @@ class Release:
         """
         if which not in ("last", "all", "picks"):
             raise InputError(f"which={which!r} names no steps", hint="use which='last', 'all' or 'picks'")
-        chosen = self.manifest.select(tasks, [rounds] if isinstance(rounds, int) else rounds, split)
+        chosen = self.manifest.select(tasks, rounds, split)
         self.folder.require(chosen)
         from rema_data.loader.dataset import StepDataset, identity  # torch is imported here, and not before
 

@@ -55,11 +55,14 @@ class ResidentDataset(Dataset[StepBatch | FloatBatch]):
 
     def __getitem__(self, which: int | slice | Indices) -> StepBatch | FloatBatch:
         """Some steps as a batch on the device: of one step for an integer."""
-        return self.__getitems__(self._dataset.positions(which))
+        return self._gather(self._dataset.positions(which))
 
     def __getitems__(self, indices: Indices) -> StepBatch | FloatBatch:
         """As ``StepDataset.__getitems__``, on the device."""
-        index = torch.from_numpy(self._dataset.positions(indices)).to(self.device)
+        return self._gather(self._dataset.positions_of_batch(indices))
+
+    def _gather(self, position: Array) -> StepBatch | FloatBatch:
+        index = torch.from_numpy(position).to(self.device)
         scene, hand, action, success = (column.index_select(0, index) for column in self._columns)
         batch = StepBatch(
             self._scene.index_select(0, scene),

@@ -13,12 +13,15 @@ from rema_data.errors import InputError, IntegrityError, MissingFileError, RemaE
 from rema_data.release.manifest import MANIFEST, BlockEntry, FileEntry, Manifest, parse_manifest
 from rema_data.release.registry import SAMPLE, load_published, published
 from rema_data.repair import ReleaseRepair, release_manifest
-from rema_data.storage import rema_home
+from rema_data.storage import absolute, rema_home
 
 if TYPE_CHECKING:
     from rema_data.store.block import BlockReader
 
 __all__ = ["ReleaseFolder", "downloads_folder", "find_release", "local_sources"]
+
+_MORE_ROWS = 1000
+"""How many more rows than twice those of the manifest a table may have and be read, so that a check can name them."""
 
 
 @dataclass(frozen=True)
@@ -27,20 +30,27 @@ class ReleaseFolder:
 
     manifest: Manifest
     root: Path  # the folder of releases: a file is at ``root / holder / path``
+    renamed: str | None = None  # name of the release's own folder in ``root``, where that is not the release's
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "root", absolute(self.root))
 
     @property
     def path(self) -> Path:
         """The release's own folder."""
-        return self.root / self.manifest.name
+        return self._folder(self.manifest.name)
+
+    def _folder(self, holder: str) -> Path:
+        return self.root / (self.renamed if self.renamed and holder == self.manifest.name else holder)
 
     def file(self, entry: FileEntry) -> Path:
         """Where a file lies."""
-        return self.root / entry.location
+        return self._folder(entry.holder) / entry.path
 
     def has(self, entry: FileEntry) -> bool:
         """Whether a file is there with its size. Its content is checked when it is decoded, and by ``rema verify``."""
         try:
-            return os.stat(self.root / entry.location).st_size == entry.bytes
+            return os.stat(self.file(entry)).st_size == entry.bytes
         except OSError:
             return False
 
@@ -48,7 +58,8 @@ class ReleaseFolder:
         """Reader of a block."""
         from rema_data.store.block import BlockReader
 
-        return BlockReader(self.root / entry.holder / entry.key.path, self._repair_hint)
+        most = (2 * count + _MORE_ROWS for count in (entry.episodes, entry.steps))
+        return BlockReader(self._folder(entry.holder) / entry.key.path, self._repair_hint, *most)
 
     def blocks(self) -> tuple[BlockEntry, ...]:
         """The blocks that are here whole."""
@@ -76,7 +87,7 @@ class ReleaseFolder:
     @property
     def downloaded(self) -> bool:
         """Whether the release lies where ``rema download`` puts it."""
-        return _is_downloads(self.root)
+        return self.renamed is None and _is_downloads(self.root)
 
     def _repair_hint(self, path: Path) -> str:
         return self.repair.at(path)
@@ -85,7 +96,8 @@ class ReleaseFolder:
     def repair(self) -> ReleaseRepair:
         """The commands that bring its files back."""
         manifest, root = self.manifest, self.root.resolve()
-        is_published = manifest.sha256 in published().values()
+        # The commands know a release by its name, and so do its folder in a checkout and in the downloads.
+        is_published = self.renamed is None and manifest.sha256 in published().values()
         try:
             by_name = is_published and find_release(manifest.name).root.resolve() == root
         except RemaError:
@@ -95,7 +107,7 @@ class ReleaseFolder:
         return ReleaseRepair(
             manifest.name,
             self.root,
-            manifest.name if by_name else shlex.quote(str(root / manifest.name)),
+            manifest.name if by_name else shlex.quote(str(root / (self.renamed or manifest.name))),
             is_published,
             self.downloaded,
             "" if has_source else " --source URL",
@@ -141,13 +153,8 @@ def find_release(name_or_path: str | os.PathLike[str] | None = None) -> ReleaseF
                 hint="name the folder that `rema collect` or `rema download` made",
                 path=str(path),
             )
-        manifest = _parse_beside_data(path)
-        if folder.resolve().name != manifest.name:
-            raise InputError(
-                f"the folder {folder} holds the release {manifest.name}",
-                hint=f"name the folder {manifest.name}: blocks of parent releases are found beside it",
-            )
-        return ReleaseFolder(manifest, folder.resolve().parent)
+        manifest, place = _parse_beside_data(path), folder.resolve()
+        return ReleaseFolder(manifest, place.parent, None if place.name == manifest.name else place.name)
     manifest = load_published(text)
     found = [ReleaseFolder(manifest, root) for root in (downloads_folder(), *local_sources())]
     best = max(found, key=lambda folder: len(folder.blocks()))

@@ -14,7 +14,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import date
 from functools import cached_property
-from typing import Any
+from numbers import Integral
+from typing import Any, SupportsIndex
 
 from rema_data.errors import InputError, IntegrityError, RemaError
 from rema_data.heights import HEIGHT_ERROR_M, HEIGHT_OFFSET_M, MISSING
@@ -110,14 +111,14 @@ class Manifest(StrictRecord):
     def select(
         self,
         tasks: Iterable[str] | None = None,
-        rounds: Iterable[int] | None = None,
-        split: str | None = None,
+        rounds: Iterable[int] | SupportsIndex | None = None,
+        split: str | Iterable[str] | None = None,
     ) -> tuple[BlockEntry, ...]:
-        """Blocks of some tasks, rounds and one split; None means all. InputError where there is no such block."""
-        wanted = {
-            "task": None if tasks is None else set(_names(tasks)),
-            "round": None if rounds is None else set(rounds),
-            "split": None if split is None else {split},
+        """Blocks of some tasks, rounds and splits; None means all. InputError where there is no such block."""
+        wanted: dict[str, set[Any] | None] = {
+            "task": _chosen("tasks", tasks, str),
+            "round": _chosen("rounds", rounds, int),
+            "split": _chosen("split", split, str),
         }
         for name, values in wanted.items():
             has = {getattr(block, name) for block in self.blocks}
@@ -147,8 +148,19 @@ class Manifest(StrictRecord):
         return tuple(file for file in self.files if file.block is None or file.block in paths)
 
 
-def _names(tasks: Iterable[str]) -> tuple[str, ...]:
-    return (tasks,) if isinstance(tasks, str) else tuple(tasks)
+def _chosen(name: str, given: Any, kind: type[str] | type[int]) -> set[Any] | None:
+    """One value or several as a set; those of numpy are as good as those of Python."""
+    if given is None:
+        return None
+    values = [given] if isinstance(given, str) or not isinstance(given, Iterable) else list(given)
+    for value in values:
+        if not isinstance(value, str if kind is str else Integral) or isinstance(value, bool):
+            raise InputError(
+                f"{name}={given!r:.80}: {value!r:.80} is not {'a name' if kind is str else 'a whole number'}",
+                hint=f"give {name} as one or a list, for example "
+                + ('split="train"' if name == "split" else 'tasks=["grasp"]' if kind is str else "rounds=[1, 2]"),
+            )
+    return set(map(kind, values))
 
 
 def parse_manifest(data: bytes, where: str, sha256: str | None = None, hint: str = "") -> Manifest:

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 from rema_data.errors import InputError, MissingFileError
+from rema_data.locks import lock
 from rema_data.manifests import manifests_dir, read_manifest
 from rema_data.release.manifest import Manifest, check_name, parse_manifest
 from rema_data.repair import restore
@@ -57,11 +58,9 @@ def load_published(name: str) -> Manifest:
 
 def register(manifest: Manifest) -> Path:
     """Enter a sealed release at the end of the index; its manifest's path. InputError if the name is taken."""
-    from filelock import FileLock  # only publishing needs it
-
     folder = _folder()
     path = folder / f"{manifest.name}.json"
-    with FileLock(folder / ".index.json.lock"):  # held for milliseconds: wait for it
+    with lock(folder / ".index.json.lock", wait=True):  # held for milliseconds: wait for it
         entries = published() if (folder / "index.json").exists() else {}
         known = entries.setdefault(manifest.name, manifest.sha256)
         if known != manifest.sha256:

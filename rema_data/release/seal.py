@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pyarrow.compute as pc
 
+from rema_data import interrupts
 from rema_data.errors import InputError, RunMismatchError
 from rema_data.release.card import write_card
 from rema_data.release.entries import BlockEntry, FileEntry, Parent, block_order, check_name
@@ -115,10 +116,10 @@ def seal(
 def _files(staging: Path, holder: str, shared: Sequence[FileEntry]) -> tuple[FileEntry, ...]:
     """Entries of the files in ``staging`` and of the shared ones, in the manifest's order."""
     paths = [path for path in staging.rglob("*") if path.is_file() and path != staging / MANIFEST]
-    own = [
-        FileEntry(path.relative_to(staging).as_posix(), path.stat().st_size, file_sha256(path), holder)
-        for path in paths
-    ]
+    own = []
+    for path in paths:
+        interrupts.check()
+        own.append(FileEntry(path.relative_to(staging).as_posix(), path.stat().st_size, file_sha256(path), holder))
     return tuple(sorted((*own, *shared), key=lambda entry: entry.location))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,22 +10,7 @@ import numpy as np
 from rema_data.errors import InputError
 from rema_data.samplers.strata import column_of
 
-__all__ = ["one_of", "rank_and_world", "refuse_mixed_splits", "whole"]
-
-
-def rank_and_world(rank: int | None, world_size: int | None) -> tuple[int, int]:
-    """Rank and world size: as given, else of ``torch.distributed`` where it is in use, else 0 and 1."""
-    if rank is None and world_size is None:
-        distributed = sys.modules.get("torch.distributed")  # a process that uses it has imported it
-        if distributed is not None and distributed.is_available() and distributed.is_initialized():
-            return distributed.get_rank(), distributed.get_world_size()
-        return 0, 1
-    if rank is None or world_size is None:
-        raise InputError("rank and world_size belong together", hint="give both, or neither")
-    world_size = whole("world_size", world_size, 1)
-    if whole("rank", rank, 0) >= world_size:
-        raise InputError(f"rank {rank} is outside of a world of {world_size}", hint="ranks count from 0")
-    return int(rank), world_size
+__all__ = ["one_of", "refuse_mixed_splits", "whole"]
 
 
 def whole(name: str, value: Any, least: int) -> int:

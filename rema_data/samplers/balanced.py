@@ -9,13 +9,16 @@ from typing import Any, Literal
 import numpy as np
 
 from rema_data.errors import InputError
-from rema_data.samplers.arguments import one_of, rank_and_world, refuse_mixed_splits, whole
+from rema_data.positions import Positions
+from rema_data.samplers.arguments import one_of, refuse_mixed_splits, whole
 from rema_data.samplers.batch_plan import BatchPlan, ExactPlan, LotteryPlan
-from rema_data.samplers.epoch_state import Batch, ResumableOrder
+from rema_data.samplers.epoch_state import Batch, EpochState, ResumableOrder
+from rema_data.samplers.ranks import Ranks
 from rema_data.samplers.report import SamplerReport, make_report
 from rema_data.samplers.row_order import RowOrder, bits, shuffled, stream_key
 from rema_data.samplers.shares import uniform_shares
-from rema_data.samplers.strata import label_text, stratify, table_of
+from rema_data.samplers.source import source_of
+from rema_data.samplers.strata import label_text, stratify
 
 __all__ = ["BalancedSampler"]
 
@@ -31,13 +34,14 @@ class BalancedSampler(ResumableOrder):
     Tasks (the values of the first column of ``by``) have equal shares, and successes and failures (those of the second)
     have equal shares within each task. Every row of a stratum is drawn before any is drawn again, across epochs too.
 
-    Iterating gives one epoch: int64 arrays of row numbers, for ``DataLoader(dataset, batch_sampler=sampler)``. Epochs
-    advance by themselves.
+    Iterating gives one epoch: lists of row numbers, for ``DataLoader(dataset, batch_sampler=sampler)``. Epochs advance
+    by themselves.
 
     Parameters
     ----------
     table : dataset, DataFrame or mapping
-        Something with a ``table``, or the columns themselves. Row numbers are positions in it.
+        Something with a ``table``, a torch ``Subset`` of that, or the columns themselves. Row numbers are positions in
+        it, and a dataset refuses those of another table.
     batch_size : int
         Rows in a batch of one rank. The global batch is ``batch_size * world_size`` rows: it is built first and then
         dealt out, so its rows do not depend on how many ranks share it.
@@ -51,7 +55,7 @@ class BalancedSampler(ResumableOrder):
         batch are left out.
     seed : int
     rank, world_size : int, optional
-        By default those of ``torch.distributed`` where it is initialised, else 0 and 1.
+        By default those of ``torch.distributed``, which has to be initialised where there are several processes.
     on_empty : {"raise", "renormalise"}
         What to do about a stratum without rows: see ``rema_data.samplers.strata.stratify``.
     rotate : bool
@@ -89,13 +93,14 @@ class BalancedSampler(ResumableOrder):
         one_of("on_empty", on_empty, ("raise", "renormalise"))
         self.batch_size = whole("batch_size", batch_size, 1)
         self.seed = whole("seed", seed, 0)
-        self.rank, self.world_size = rank_and_world(rank, world_size)
+        self._ranks = Ranks.of(rank, world_size)
+        self.rank, self.world_size = self._ranks.rank, self._ranks.world_size
         self.global_batch = self.batch_size * self.world_size
         self.mode = mode
-        columns = table_of(table)
-        refuse_mixed_splits(columns)
-        self.strata = stratify(columns, (by,) if isinstance(by, str) else by, on_empty)
-        self._identity = getattr(table, "fingerprint", None)
+        source = source_of(table)
+        refuse_mixed_splits(source.table)
+        self.strata = stratify(source.table, (by,) if isinstance(by, str) else by, on_empty)
+        self._identity = source.fingerprint
         draws = len(self.strata.codes) if num_samples is None else whole("num_samples", num_samples, 1)
         self._batches = draws // self.global_batch
         if not self._batches:
@@ -140,6 +145,16 @@ class BalancedSampler(ResumableOrder):
             f"{', '.join(self.strata.by)}, batch_size={self.batch_size}, rank {self.rank} of {self.world_size})"
         )
 
+    drop_last = True
+    """An epoch has whole batches only: what wraps a sampler of batches has nothing to fill up."""
+
+    def _hand_out(self, batch: Batch) -> Positions:
+        return Positions(batch.tolist(), self._identity, len(self.strata.codes))
+
+    def _begin(self, beginner: EpochState) -> tuple[int, int]:
+        self._ranks.check()
+        return super()._begin(beginner)
+
     def _fetch(self, epoch: int, step: int) -> Batch:
         """Batches of this rank from ``step`` on, to the end of a block; int64 (batches, rows)."""
         stop = min(self._batches, step + max(1, BLOCK // self.global_batch))
@@ -169,7 +184,7 @@ class BalancedSampler(ResumableOrder):
     @cached_property
     def fingerprint(self) -> str:
         """Identity of the data: that of the dataset, else a hash of the labels of all rows."""
-        return self._identity if isinstance(self._identity, str) else self.strata.fingerprint()
+        return self._identity or self.strata.fingerprint()
 
     @cached_property
     def _settings(self) -> dict[str, Any]:

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rema_data.errors import InputError
+from rema_data.positions import Positions
 
 __all__ = ["Batch", "EpochState", "ResumableOrder"]
 
@@ -41,6 +42,10 @@ class ResumableOrder(ABC):
         """Some batches of an epoch, from ``step`` on; at least one. int64 (batches, rows)."""
 
     @abstractmethod
+    def _hand_out(self, batch: Batch) -> Positions:
+        """A batch as a loader gets it: a list, which every wrapper of samplers can join and cut."""
+
+    @abstractmethod
     def _pack(self, epoch: int, step: int) -> dict[str, Any]:
         """State at a position."""
 
@@ -58,7 +63,7 @@ class ResumableOrder(ABC):
         """Batches handed out in this epoch: with workers, more than a training loop has seen."""
         return self._step
 
-    def __iter__(self) -> Iterator[Batch]:
+    def __iter__(self) -> Iterator[Positions]:
         return EpochState(self)
 
     def set_epoch(self, epoch: int) -> None:
@@ -122,7 +127,7 @@ class ResumableOrder(ABC):
         return start
 
 
-class EpochState(Iterator[Batch]):
+class EpochState(Iterator[Positions]):
     """Iterator over an epoch, or over what is left of it. It has a state of its own, for ``StatefulDataLoader``."""
 
     def __init__(self, order: ResumableOrder) -> None:
@@ -131,7 +136,7 @@ class EpochState(Iterator[Batch]):
         self._fetched: Any = ()
         self._place = 0
 
-    def __next__(self) -> Batch:
+    def __next__(self) -> Positions:
         order = self._order
         if self._place == len(self._fetched):
             if self._step < 0:
@@ -139,7 +144,7 @@ class EpochState(Iterator[Batch]):
             if self._step == len(order):
                 raise StopIteration
             self._fetched, self._place = order._fetch(self._epoch, self._step), 0
-        batch: Batch = self._fetched[self._place]
+        batch = order._hand_out(self._fetched[self._place])
         self._place += 1
         self._step += 1
         if order._current is self:

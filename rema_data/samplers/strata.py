@@ -16,7 +16,7 @@ from rema_data.errors import InputError
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Label", "Strata", "column_of", "label_text", "stratify", "table_of"]
+__all__ = ["Label", "Strata", "column_of", "label_text", "stratify"]
 
 Label = tuple[Any, ...]
 """Values of the columns that make a stratum, in their order."""
@@ -44,17 +44,6 @@ class Strata:
         digest = hashlib.blake2b(repr((self.by, self.labels)).encode(), digest_size=16)
         digest.update(np.ascontiguousarray(self.codes, "<i2").data)
         return digest.hexdigest()
-
-
-def table_of(source: Any) -> Any:
-    """The table of a dataset: its ``table``, or the DataFrame or mapping of columns itself; else InputError."""
-    table = getattr(source, "table", source)
-    if isinstance(table, Mapping) or hasattr(table, "columns"):
-        return table
-    raise InputError(
-        f"a {type(source).__name__} is not a table",
-        hint="pass a dataset of `release.steps(...)`, a pandas DataFrame, or a mapping of column names to arrays",
-    )
 
 
 def column_of(table: Any, name: str) -> pd.Series[Any]:

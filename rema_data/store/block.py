@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from rema_data.bounded import MOST_ROWS
 from rema_data.heights import encode_heights, pack_mask
 from rema_data.repair import RepairHint, ask_verify
 from rema_data.schema import Episode, Observation
@@ -134,19 +135,29 @@ class BlockWriter:
 
 
 class BlockReader:
-    """Reads a block; ``repair_hint`` gives the hint of an error about a path in it."""
+    """Reads a block; ``repair_hint`` gives the hint of an error about a path in it.
 
-    def __init__(self, folder: Path, repair_hint: RepairHint = ask_verify) -> None:
+    A table that announces more rows than ``most_episodes`` or ``most_steps`` is refused before it is read.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        repair_hint: RepairHint = ask_verify,
+        most_episodes: int = MOST_ROWS,
+        most_steps: int = MOST_ROWS,
+    ) -> None:
         self.folder = folder
         self.repair_hint = repair_hint
+        self._most_episodes, self._most_steps = most_episodes, most_steps
 
     def episodes(self) -> pa.Table:
         """Table of the episodes; see ``read_table`` for what it raises."""
-        return read_table(self.folder / EPISODES, EPISODE_COLUMNS, self.repair_hint)
+        return read_table(self.folder / EPISODES, EPISODE_COLUMNS, self.repair_hint, self._most_episodes)
 
     def steps(self) -> pa.Table:
         """Table of the steps; see ``read_table`` for what it raises."""
-        return read_table(self.folder / STEPS, STEP_COLUMNS, self.repair_hint)
+        return read_table(self.folder / STEPS, STEP_COLUMNS, self.repair_hint, self._most_steps)
 
     def maps(self) -> MapsReader:
         """Reader of the maps."""

@@ -14,6 +14,7 @@ a chunk that is lost reads as values that cannot occur, so that a hole is an err
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,15 +30,19 @@ from zarr.storage import LocalStore
 from rema_data.errors import IntegrityError, MissingFileError
 from rema_data.grid import EE_PIXELS, SCENE_PIXELS
 from rema_data.heights import HEIGHT_ERROR_M, HEIGHT_OFFSET_M, MISSING
+from rema_data.interrupts import check
+from rema_data.json_files import read_json
 from rema_data.repair import RepairHint, ask_verify
 from rema_data.schema import HEIGHT_STEP_M
-from rema_data.storage import storage_errors
+from rema_data.storage import not_written, storage_errors
 
 __all__ = ["ARRAYS", "MAPS", "ArrayFormat", "MapsReader", "MapsWriter"]
 
 MAPS = "maps.zarr"
 _LEVEL = 19
 """Of zstd. Shuffling makes these maps larger: they are long runs of equal 16-bit values (benchmarks/codecs.py)."""
+_CODECS = ["sharding_indexed", "bytes", "zstd", "crc32c", "bytes", "crc32c"]
+"""Of an array, of its inner chunks, and of the index of these."""
 _MASK_HOLE = 255
 """Fill value of the masks: a map whose every pixel may touch cannot occur, since its border is always empty."""
 
@@ -97,6 +102,7 @@ class _Buffered:
             config={"write_empty_chunks": True},
             attributes=_ATTRIBUTES[name],
         )
+        self._digest = hashlib.sha256()
         self._rows: list[npt.NDArray[Any]] = []
         self._count = 0
         self.written = 0
@@ -113,9 +119,23 @@ class _Buffered:
 
     def flush(self) -> None:
         if self._count:
-            self._array.append(np.concatenate(self._rows))
+            rows = np.concatenate(self._rows)
+            self._array.append(rows)
+            self._digest.update(rows.data)
             self.written += self._count
             self._rows, self._count = [], 0
+
+    def is_as_written(self) -> bool:
+        """Whether what can be read is what was appended."""
+        found = hashlib.sha256()
+        for start in range(0, self.written, self._form.shard_rows):
+            check()
+            try:
+                rows = np.asarray(self._array[start : start + self._form.shard_rows])
+            except Exception:  # zarr and its codecs each raise their own kinds
+                return False
+            found.update(np.ascontiguousarray(rows).data)
+        return found.digest() == self._digest.digest()
 
 
 class MapsWriter:
@@ -133,10 +153,13 @@ class MapsWriter:
             self._arrays[name].append(rows)
 
     def close(self) -> dict[str, int]:
-        """Write what is left; rows of every array."""
+        """Write what is left, and read all of it back; rows of every array."""
         with storage_errors(self._path):
-            for array in self._arrays.values():
+            for name, array in self._arrays.items():
                 array.flush()
+                check()
+                if not array.is_as_written():
+                    raise not_written(self._path / name)
         return {name: array.written for name, array in self._arrays.items()}
 
 
@@ -156,8 +179,9 @@ class MapsReader:
         self._arrays: dict[str, zarr.Array[Any]] = {}
         for name, form in ARRAYS.items():
             try:
+                _check_layout(self._path / name, form)
                 array = zarr.open_array(LocalStore(self._path, read_only=True), path=name, mode="r")
-            except (BaseZarrError, OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            except (BaseZarrError, OSError, ValueError, LookupError, TypeError, AttributeError) as error:
                 raise self._damage(name, str(error)) from error
             if array.shape[1:] != form.row or array.dtype != form.dtype:
                 raise self._damage(name, f"it holds {array.dtype} {array.shape}")
@@ -187,6 +211,24 @@ class MapsReader:
         """Row ranges of the array's shards: the pieces in which it is best read."""
         total, step = self.rows(name), ARRAYS[name].shard_rows
         return [(start, min(start + step, total)) for start in range(0, total, step)]
+
+
+def _check_layout(folder: Path, form: ArrayFormat) -> None:
+    """Raise ValueError, LookupError or TypeError where an array is not laid out as ``MapsWriter`` does it.
+
+    Zarr can name any size of a chunk and any codec, and reads rows for which nothing is stored.
+    """
+    about = read_json(folder / "zarr.json")
+    (sharding,) = about["codecs"]
+    inner = sharding["configuration"]
+    shard, chunk = about["chunk_grid"]["configuration"]["chunk_shape"], inner["chunk_shape"]
+    codecs = [codec["name"] for codec in (sharding, *inner["codecs"], *inner["index_codecs"])]
+    if shard != [form.shard_rows, *form.row] or chunk != [form.chunk_rows, *form.row] or codecs != _CODECS:
+        raise ValueError("it is not stored in the chunks of a release")
+    rows = about["shape"][0]
+    stored = form.shard_rows * sum(1 for _ in (folder / "c").iterdir()) if (folder / "c").is_dir() else 0
+    if type(rows) is not int or not 0 <= rows <= stored:
+        raise ValueError(f"it names {rows!r:.40} rows, and {stored:,} are stored at most")
 
 
 def _hole(rows: npt.NDArray[Any], fill: int) -> int | None:

@@ -11,6 +11,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from rema_data.bounded import MOST_ROWS, parquet_table
 from rema_data.errors import IntegrityError, MissingFileError
 from rema_data.repair import RepairHint, ask_verify, upgrade
 from rema_data.schema import (
@@ -33,6 +34,7 @@ from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, Column, arrow
 
 __all__ = [
     "as_stored",
+    "checked_table",
     "complete",
     "episode_row",
     "episodes_table",
@@ -204,28 +206,41 @@ def to_parquet(table: pa.Table) -> bytes:
     return buffer.getvalue()
 
 
-def read_table(path: Path, columns: tuple[Column, ...], repair_hint: RepairHint = ask_verify) -> pa.Table:
+def read_table(
+    path: Path, columns: tuple[Column, ...], repair_hint: RepairHint = ask_verify, most_rows: int = MOST_ROWS
+) -> pa.Table:
     """A table of a block with all ``columns``, checked; those that are newer than the file hold their default.
 
-    ``table_version`` still gives the version in which it is stored; ``repair_hint`` the hint about a damaged file.
-    Raises MissingFileError, or IntegrityError for a file that is not whole or of no schema version that this rema
-    knows.
+    ``table_version`` still gives the version in which it is stored; ``repair_hint`` the hint about a damaged file. A
+    file that announces more than ``most_rows`` is not read. Raises MissingFileError, or IntegrityError for a file that
+    is not whole or of no schema version that this rema knows.
     """
     try:
-        table = pq.read_table(path, page_checksum_verification=True)
-        found = table.schema.names  # decoded here: damaged names are not text
+        table = parquet_table(path, most_rows, page_checksum_verification=True)
+        names = table.schema.names  # decoded here: damaged names are not text
     except FileNotFoundError:
         raise MissingFileError(f"table {path} does not exist", hint=repair_hint(path), path=str(path)) from None
     except (pa.ArrowException, ValueError, OSError) as error:
         raise IntegrityError(f"table {path} is damaged: {error}", hint=repair_hint(path), path=str(path)) from error
+    try:
+        return checked_table(table, columns)
+    except ValueError as error:
+        other = {column.name for column in columns} ^ set(names)
+        hint = upgrade() if other else repair_hint(path)
+        raise IntegrityError(f"table {path} has {error}", hint=hint, path=str(path)) from error
+
+
+def checked_table(table: pa.Table, columns: tuple[Column, ...]) -> pa.Table:
+    """A table as it was stored with all ``columns``; raises ValueError where it is of no known schema version."""
+    found = table.schema.names
     for version in range(SCHEMA_VERSION, 0, -1):
-        expected = arrow_schema(columns_at(columns, version), version)
+        known = columns_at(columns, version)
+        expected = arrow_schema(known, version)
         if found == expected.names and table.schema.types == expected.types:
+            for column in known:
+                if table[column.name].null_count and not column.nullable:
+                    raise ValueError(f"nulls in the column {column.name}, which has none")
             return complete(table.replace_schema_metadata(expected.metadata), columns)
     names = {column.name for column in columns} ^ set(found)
     what = f"other columns ({', '.join(sorted(names))})" if names else "columns of other types"
-    raise IntegrityError(
-        f"table {path} has {what} than schema version {SCHEMA_VERSION}",
-        hint=upgrade(),
-        path=str(path),
-    )
+    raise ValueError(f"{what} than schema version {SCHEMA_VERSION}")

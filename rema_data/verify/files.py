@@ -6,6 +6,7 @@ import os
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
+from rema_data import interrupts
 from rema_data.download.fetch import fetch_again
 from rema_data.download.part import SUFFIX
 from rema_data.errors import InputError
@@ -68,6 +69,7 @@ def check_files(
     damaged, fixes = set(), release.repair
     progress.phase("files", len(entries))
     for entry in entries:
+        interrupts.check()
         path = release.file(entry)
         fault = _fault(path, entry)
         if fault is not None:

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
+from rema_data.bounded import parquet_table
 from rema_data.errors import IntegrityError
 from rema_data.repair import restore
 from rema_data.schema import Shape
@@ -81,7 +81,7 @@ def frozen_lists(folder: Path) -> list[Path]:
 def read_frozen(path: Path) -> dict[bytes, str]:
     """Scenes of all steps of a frozen list, each with its name: ``VERSION/TASK/SPLIT/INDEX``. Or IntegrityError."""
     try:
-        return _scenes_of(path, pq.read_table(path))
+        return _scenes_of(path, parquet_table(path))
     except (pa.ArrowException, ValueError, KeyError, OSError) as error:
         raise IntegrityError(f"{path} cannot be read: {error}", hint=restore(path), path=str(path)) from error
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import numpy.typing as npt
 
 from rema_data.errors import IntegrityError
 from rema_data.heights import MISSING
+from rema_data.json_files import read_json
 from rema_data.store.maps import ARRAYS, MAPS, MapsReader
 from rema_data.verify.findings import Add, rows_of
 
@@ -44,7 +44,7 @@ def check_maps(
 def check_group(folder: Path, report: Add) -> None:
     """Check the group that holds the arrays of the block in ``folder``: other readers of Zarr begin there."""
     try:
-        content = json.loads((folder / MAPS / "zarr.json").read_bytes())
+        content = read_json(folder / MAPS / "zarr.json")
         good = content["zarr_format"] == 3 and content["node_type"] == "group"
     except (OSError, ValueError, KeyError, TypeError):
         good = False

@@ -16,17 +16,17 @@ __all__ = ["CleanupShell", "descendants", "end_family", "remove_folder"]
 
 # `read` succeeds when the evaluator has cleaned up, and fails when it ended before that. By then the kernel has ended
 # the policy; the processes that it started live on in its group.
-_SCRIPT = 'read -r goodbye && exit; kill -s KILL -- "-$1"; chmod -R u+rwx -- "$2"; rm -rf -- "$2"'
+_SCRIPT = 'read -r goodbye && exit; [ -n "$1" ] && kill -s KILL -- "-$1"; chmod -R u+rwx -- "$2"; rm -rf -- "$2"'
 
 
 class CleanupShell:
-    """A shell that outlives the evaluator for a moment, to end the policy's process group and to remove its folder."""
+    """A shell that outlives the evaluator for a moment, to remove a folder and to end a process group."""
 
-    def __init__(self, group: int, folder: Path) -> None:
+    def __init__(self, folder: Path, group: int | None = None) -> None:
         reader, self._lifeline = os.pipe()  # only the evaluator holds the write end: it is not inherited
         try:
             self._shell = subprocess.Popen(
-                ["/bin/sh", "-c", _SCRIPT, "rema-policy-cleanup", str(group), str(folder)],
+                ["/bin/sh", "-c", _SCRIPT, "rema-policy-cleanup", str(group or ""), str(folder)],
                 stdin=reader,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,

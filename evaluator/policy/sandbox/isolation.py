@@ -19,7 +19,10 @@ from typing import Any
 
 __all__ = ["Isolation", "Restriction", "isolation_of"]
 
-KERNEL_RESTRICTIONS = ("files", "network", "processes", "signals", "inspection")
+KERNEL_RESTRICTIONS = (
+    "files", "network", "processes", "signals", "inspection", "privileges", "clock", "scheduling", "attributes",
+    "queues", "supervision",
+)  # fmt: skip
 """All of them make L2."""
 NAMESPACES = ("mnt", "net", "pid")
 """All of them, besides the restrictions of the kernel, make L3."""

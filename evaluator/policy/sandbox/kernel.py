@@ -1,66 +1,50 @@
 """The restrictions of a policy, set inside its own process before anything of the policy is read.
 
-Run as a script, ``python kernel.py``, with questions on standard input and replies on standard output. The first
-question says what the policy may reach; the first reply says what is restricted, each tried after it was set. The
-kernel binds its rules to a thread and to those that it starts: nothing that starts threads (numpy) may come before.
+Run as a module, with questions on standard input and replies on standard output. The first question says what the
+policy may reach; the first reply says what is restricted, each tried after it was set. The kernel binds its rules to a
+thread and to those that it starts: nothing that starts threads (numpy) may come before.
 """
 
 from __future__ import annotations
 
-import ctypes
-import errno
 import importlib
 import json
 import os
 import resource
-import signal
+import stat
 import sys
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from evaluator.policy.sandbox.calls import filter_calls
+from evaluator.policy.sandbox.privileges import (
+    barrier,
+    drop_privileges,
+    in_user_namespace,
+    keep_supervised,
+    mount_temporary,
+)
+from evaluator.policy.sandbox.probes import PROBES, Standing, tried
+
 __all__ = ["main"]
 
-_PR_SET_PDEATHSIG = 1
-_PR_SET_CHILD_SUBREAPER = 36
-_CLONE_THREAD = 0x10000
 _TRUNCATION = 3  # the first version of Landlock that covers it
 _NAMESPACES = ("mnt", "net", "pid", "ipc", "user", "uts")
 _LIMITED = {"RLIMIT_DATA": "memory", "RLIMIT_FSIZE": "disk", "RLIMIT_NOFILE": "descriptors"}
-
-_DENIED = {
-    "network": ("socket",),
-    "processes": ("fork", "vfork", "execve", "execveat"),
-    "signals": ("tkill", "pidfd_send_signal"),
-    "inspection": ("ptrace", "process_vm_readv", "process_vm_writev", "pidfd_getfd", "kcmp", "process_madvise"),
-    "metadata": (
-        "chmod", "fchmod", "fchmodat", "fchmodat2", "chown", "fchown", "lchown", "fchownat", "setxattr", "lsetxattr",
-        "fsetxattr", "setxattrat", "removexattr", "lremovexattr", "fremovexattr", "removexattrat",
-    ),
-    "leftovers": ("shmget", "msgget", "semget", "mq_open", "inotify_add_watch", "fanotify_init"),
-    "kernel": (
-        "io_uring_setup", "io_uring_enter", "io_uring_register", "bpf", "perf_event_open", "userfaultfd", "keyctl",
-        "add_key", "request_key", "setns", "unshare", "mount", "umount2", "pivot_root", "chroot", "open_tree",
-        "move_mount", "fsopen", "fsconfig", "fsmount", "fspick", "mount_setattr", "open_by_handle_at", "init_module",
-        "finit_module", "delete_module", "kexec_load", "kexec_file_load", "reboot", "swapon", "swapoff", "acct",
-        "quotactl", "settimeofday", "clock_settime", "sethostname", "setdomainname", "syslog", "iopl", "ioperm",
-        "setrlimit",
-    ),
-}  # fmt: skip
-"""System calls that fail with EPERM, with any arguments."""
-_OWN_PROCESS_ONLY = ("kill", "tgkill", "rt_sigqueueinfo", "rt_tgsigqueueinfo")
-_NUMBERS = {"fchmodat2": 452, "setxattrat": 463, "removexattrat": 466}
-"""Of calls that an older libseccomp does not know by name; they are the same on every architecture."""
+_STREAMS = 3
+_PLAIN_DEVICES = ("null", "zero", "full", "random", "urandom")
 
 
 def main() -> None:
     """Restrict this process, then serve (``evaluator.policy.child``).
 
-    The first question holds ``confine`` (bool), ``allowed`` (see ``evaluator.policy.sandbox.allowlist``) and ``limits``
-    (name of a limit of ``resource`` -> value).
+    The first question holds ``confine`` (bool), ``allowed`` (see ``evaluator.policy.sandbox.allowlist``), ``limits``
+    (name of a limit of ``resource`` -> value), ``user`` (to become, if this is root) and its ``groups``, the folders of
+    modules that it ``imports``, and for the ``temporary`` folder its path and most ``bytes`` and ``files``.
     """
-    _die_with_parent()
+    keep_supervised()
     with suppress(OSError):  # where memory runs out, it is this process that has to go
         Path("/proc/self/oom_score_adj").write_text("1000")
     requests, replies = _take_standard_streams()
@@ -69,12 +53,10 @@ def main() -> None:
     for kind in _NAMESPACES:
         with suppress(OSError):
             namespaces[kind] = os.readlink(f"/proc/self/ns/{kind}")
-    restrictions = _limit(orders["limits"])
     if orders["confine"]:
-        landlock, filtered = _try(_restrict_files, orders["allowed"]), _try(_filter_calls)
-        restrictions += _tried(landlock, filtered)
+        restrictions = _confine(orders)
     else:
-        restrictions += [(name, False, "not asked for") for name in _PROBES]
+        restrictions = _limit(orders["limits"]) + [(name, False, "not asked for") for name in ("privileges", *PROBES)]
     sys.argv = [""]
 
     from evaluator.policy.child import serve
@@ -82,15 +64,39 @@ def main() -> None:
     serve(requests, replies, {"restrictions": restrictions, "namespaces": namespaces})
 
 
-def _die_with_parent() -> None:
-    """Let the kernel end this process together with the evaluator, also while the policy holds the interpreter.
+def _confine(orders: dict[str, Any]) -> list[tuple[str, bool, str]]:
+    """Set every restriction that this machine has; name, whether it is set, and by what or why not."""
+    allowed, temporary = orders["allowed"], orders["temporary"]
+    needed = [*allowed["read"], *allowed["listed"], *allowed["devices"]]
+    user = None if in_user_namespace() else orders["user"]
+    mounted = _try(mount_temporary, temporary["path"], temporary["bytes"], temporary["files"], user, needed)
+    kept = ""
+    if user is not None:
+        if not mounted[0]:
+            os.chown(temporary["path"], user, user)
+        closed = [path for path in orders["imports"] if _closed(path, mounted[0])]
+        if closed:
+            os.chown(temporary["path"], 0, 0)
+            user, kept = None, f"it stays root: another user cannot read {closed[0]}"
+    restrictions = [
+        (name, up, f"{detail}; {mounted[1]}" if name == "disk" and mounted[0] else detail)
+        for name, up, detail in _limit(orders["limits"])
+    ]
+    standing = Standing()
+    dropped, how = drop_privileges(user, orders["groups"])
+    restrictions.append(("privileges", dropped, kept or how))
+    keep_supervised()
+    accelerators = any(os.path.basename(path) not in _PLAIN_DEVICES for path in allowed["devices"])
+    landlock, filtered = _try(_restrict_files, allowed), _try(filter_calls, accelerators)
+    return restrictions + tried(standing, {"landlock": landlock, "seccomp": filtered})
 
-    Where the policy may start processes, those that lose their parent stay its descendants, by which they are found.
-    """
-    if sys.platform == "linux":
-        library = ctypes.CDLL(None)
-        library.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-        library.prctl(_PR_SET_CHILD_SUBREAPER, 1)
+
+def _closed(path: str, mounted: bool) -> bool:
+    """Whether another user cannot read a folder of modules; what is around it was opened where it was ``mounted``."""
+    everybody = stat.S_IROTH | stat.S_IXOTH
+    if not os.path.isdir(path):
+        return False
+    return os.stat(path).st_mode & everybody != everybody or (not mounted and bool(barrier(path)))
 
 
 def _take_standard_streams() -> tuple[int, int]:
@@ -100,6 +106,10 @@ def _take_standard_streams() -> tuple[int, int]:
     os.dup2(empty, 0)
     os.close(empty)
     os.dup2(2, 1)
+    low, high = sorted((requests, replies))
+    os.closerange(_STREAMS, low)  # nothing else that was open passes to the policy
+    os.closerange(low + 1, high)
+    os.closerange(high + 1, os.sysconf("SC_OPEN_MAX"))
     return requests, replies
 
 
@@ -165,90 +175,6 @@ def _restrict_files(allowed: dict[str, list[str]]) -> str:
                     rules.allow_path(path, access | right.READ_DIR if os.path.isdir(path) else access)
         rules.restrict()
     return f"Landlock {version}"
-
-
-def _filter_calls() -> str:
-    """seccomp: no sockets, no new processes, no signals to others, no looking into others, little of the kernel."""
-    try:
-        seccomp = importlib.import_module("pyseccomp")
-    except RuntimeError as error:  # the binding is there, and the library is not
-        raise ImportError(str(error), name="libseccomp") from error
-    calls = seccomp.SyscallFilter(seccomp.ALLOW)
-    denied = seccomp.ERRNO(errno.EPERM)
-
-    def number(name: str) -> int | None:
-        found = int(seccomp.resolve_syscall(seccomp.Arch.NATIVE, name))
-        return found if found >= 0 else _NUMBERS.get(name)
-
-    def deny(name: str, *conditions: Any, action: int = denied) -> None:
-        if (call := number(name)) is not None:
-            calls.add_rule(action, call, *conditions)
-
-    for names in _DENIED.values():
-        for name in names:
-            deny(name)
-    for name in _OWN_PROCESS_ONLY:
-        deny(name, seccomp.Arg(0, seccomp.NE, os.getpid()))
-    deny("clone", seccomp.Arg(0, seccomp.MASKED_EQ, _CLONE_THREAD, 0))
-    deny("clone3", action=seccomp.ERRNO(errno.ENOSYS))  # its flags are in memory; the C library then calls clone
-    deny("prlimit64", seccomp.Arg(2, seccomp.NE, 0))
-    calls.load()
-    return "seccomp"
-
-
-def _tried(landlock: tuple[bool, str], filtered: tuple[bool, str]) -> list[tuple[str, bool, str]]:
-    """Try everything that should be denied: by what it is denied, or why it is not."""
-    found = []
-    for name, (builders, probe) in _PROBES.items():
-        by_library = {"landlock": landlock, "seccomp": filtered}
-        by = " and ".join(by_library[builder][1] for builder in builders if by_library[builder][0])
-        why = "; ".join(by_library[builder][1] for builder in builders if not by_library[builder][0])
-        try:
-            up = probe() is _UNSEEN
-        except PermissionError:
-            up = True
-        found.append((name, up, (by or "denied already") if up else why or "it was tried and not denied"))
-    return found
-
-
-def _open_socket() -> object:
-    import _socket
-
-    _socket.socket(_socket.AF_INET, _socket.SOCK_DGRAM).close()
-    return None
-
-
-def _fork() -> object:
-    child = os.fork()
-    if child == 0:
-        os._exit(0)
-    os.waitpid(child, 0)
-    return None
-
-
-def _signal_parent() -> object:
-    parent = os.getppid()
-    if not parent:
-        return _UNSEEN
-    os.kill(parent, 0)
-    return None
-
-
-def _inspect_parent() -> object:
-    parent = os.getppid()
-    return os.stat(f"/proc/{parent}/fd/0") if parent else _UNSEEN
-
-
-_UNSEEN = object()
-"""There is no other process in sight."""
-_PROBES: dict[str, tuple[tuple[str, ...], Callable[[], object]]] = {
-    "files": (("landlock",), lambda: os.listdir("/")),
-    "network": (("seccomp",), _open_socket),
-    "processes": (("seccomp",), _fork),
-    "signals": (("landlock", "seccomp"), _signal_parent),
-    "inspection": (("landlock", "seccomp"), _inspect_parent),
-}
-"""What sets each restriction, and a call that must fail under it."""
 
 
 if __name__ == "__main__":

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import grp
 import os
+import pwd
+import secrets
 import site
+import stat
 import sys
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import psutil
 
-from evaluator.policy.sandbox import kernel
-from evaluator.policy.sandbox.allowlist import allowed_for, packages_folder
+from evaluator.policy.sandbox.allowlist import allowed_for, packages_folder, python_folders
 from evaluator.policy.sandbox.limits import PolicyLimits
+from evaluator.policy.sandbox.snapshot import Snapshot
 from evaluator.policy.sandbox.wrapper import check_sandbox, wrapped
 from rema_data.manifests import manifests_dir
 
-__all__ = ["LaunchSpec"]
+__all__ = ["LaunchSpec", "runs_beside", "unused_user"]
+
+_UNUSED_USERS = range(61184, 65520)
+"""Numbers that systems keep for users without an account (systemd: DynamicUser)."""
 
 _KEPT_VARIABLES = (
     "PATH", "USER", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "VIRTUAL_ENV", "CONDA_PREFIX", "PYTHONPATH", "LD_LIBRARY_PATH",
@@ -26,17 +34,18 @@ _KEPT_VARIABLES = (
 )  # fmt: skip
 """All that a policy inherits: enough to find its libraries and its device, nothing about the run."""
 _RUN_FILE = "run.json"
+_KERNEL = "evaluator.policy.sandbox.kernel"
 
 
 @dataclass(frozen=True, slots=True)
 class LaunchSpec:
     """How the process of a policy is started. InputError where the wrapper's command cannot be used."""
 
-    policy: Path  # its file, absolute
-    checkpoint: Path | None = None  # absolute
+    snapshot: Snapshot  # the policy's files
     limits: PolicyLimits = field(default_factory=PolicyLimits)
-    run: Path | None = None  # folder of the run, which the policy must not read
+    hidden: tuple[Path, ...] = ()  # what else the policy must not read
     confine: bool = True  # whether the kernel restricts the process (Landlock, seccomp)
+    user: int | None = None  # that the process becomes, where the evaluator is root
     sandbox: str | None = None  # a wrapper's command, see ``evaluator.policy.sandbox.wrapper``
 
     def __post_init__(self) -> None:
@@ -45,13 +54,13 @@ class LaunchSpec:
     def command(self, temporary: Path) -> list[str]:
         """The words that start the process, whose working folder is ``temporary``."""
         # -P: a folder of modules named like those of the standard library must not come before them.
-        python = [sys.executable, "-P", str(Path(kernel.__file__).resolve())]
+        python = [sys.executable, "-P", "-m", _KERNEL]
         if self.sandbox is None:
             return python
         places = {
             "tmp": temporary,
-            "policy": self.policy.parent,
-            "checkpoint": self.checkpoint or self.policy.parent,
+            "policy": self.snapshot.policy.parent,
+            "checkpoint": self.snapshot.checkpoint or self.snapshot.policy.parent,
             "packages": packages_folder(),
             "python": Path(sys.prefix),
             "python_base": Path(sys.base_prefix),
@@ -66,7 +75,7 @@ class LaunchSpec:
         # A wheel's folder is on the path of the child anyway; naming it would put it before the standard library.
         root = packages_folder()
         own = [] if root.name in ("site-packages", "dist-packages") else [str(root)]
-        paths = [os.path.abspath(entry) for entry in (*own, *inherited)]
+        paths = [str(self.snapshot.moved(Path(os.path.abspath(entry)))) for entry in (*own, *inherited)]
         return {
             **kept,
             **({"PYTHONPATH": os.pathsep.join(paths)} if paths else {}),
@@ -74,6 +83,7 @@ class LaunchSpec:
             "PYTHONHASHSEED": "0",  # the order of sets must not differ between two runs
             "PYTHONDONTWRITEBYTECODE": "1",
             "PYTHONUNBUFFERED": "1",
+            "HDF5_USE_FILE_LOCKING": "FALSE",  # the sandbox has no locks
             "TORCH_FORCE_WEIGHTS_ONLY_LOAD": "1",  # a pickle is a program
             "HOME": str(temporary),
             "TMPDIR": str(temporary),
@@ -87,20 +97,52 @@ class LaunchSpec:
             "RLIMIT_FSIZE": self.limits.disk_bytes,
             "RLIMIT_NOFILE": self.limits.open_files,
         }
-        if os.geteuid() != 0:  # the kernel counts the tasks of every user but root
-            limits["RLIMIT_NPROC"] = _tasks_of_user() + self.limits.tasks
-        allowed = asdict(
-            allowed_for(self.policy, self.checkpoint, temporary, self.environment(temporary), self._runs())
-        )
-        return {"op": "confine", "confine": self.confine, "limits": limits, "allowed": allowed}
+        # The kernel counts the tasks of every user but root, which becomes a user that has none.
+        limits["RLIMIT_NPROC"] = self.limits.tasks + (0 if self.user is not None else _tasks_of_user())
+        hidden, environment = (*self.hidden, *self.snapshot.hidden), self.environment(temporary)
+        allowed = asdict(allowed_for(self.snapshot.read, temporary, environment, hidden))
+        return {
+            "op": "confine",
+            "confine": self.confine,
+            "limits": limits,
+            "allowed": allowed,
+            "user": self.user,
+            "imports": [str(path) for path in python_folders(environment)],
+            "groups": sorted(_groups_of(allowed["devices"])),
+            "temporary": {
+                "path": str(temporary),
+                "bytes": self.limits.disk_bytes,
+                "files": self.limits.disk_files,
+            },
+        }
 
-    def _runs(self) -> list[Path]:
-        """The folder of this run, and those beside it."""
-        if self.run is None:
-            return []
-        run = self.run.resolve()
-        beside = run.parent.iterdir() if run.parent.is_dir() else ()
-        return [run, *(folder for folder in beside if (folder / _RUN_FILE).is_file())]
+
+def runs_beside(run: Path | None) -> tuple[Path, ...]:
+    """The folder of a run, and those beside it."""
+    if run is None:
+        return ()
+    run = run.resolve()
+    beside = run.parent.iterdir() if run.parent.is_dir() else ()
+    return (run, *(folder for folder in beside if (folder / _RUN_FILE).is_file()))
+
+
+def unused_user() -> int | None:
+    """The number of a user and a group that no account has, where this process is root; else None."""
+    if os.geteuid() != 0:
+        return None
+    taken = {entry.pw_uid for entry in pwd.getpwall()} | {entry.gr_gid for entry in grp.getgrall()}
+    return secrets.choice([number for number in _UNUSED_USERS if number not in taken])
+
+
+def _groups_of(devices: Iterable[str]) -> set[int]:
+    """Groups that may use accelerators which not everybody may use."""
+    found = set()
+    for device in devices:
+        places = [Path(device), *(Path(device).iterdir() if os.path.isdir(device) else ())]
+        for about in (place.stat() for place in places):
+            if about.st_gid != 0 and not about.st_mode & stat.S_IROTH:
+                found.add(about.st_gid)
+    return found
 
 
 def _tasks_of_user() -> int:

@@ -81,10 +81,18 @@ def test_a_pickle_under_another_name(saved: Path) -> None:
 def test_weights_of_another_architecture(saved: Path) -> None:
     card = saved.with_suffix(".json")
     content = json.loads(card.read_text())
+    del content["content_sha256"]  # as in the cards of earlier versions
     content["architecture"]["width"] = 16
     card.write_text(json.dumps(content))
     with pytest.raises(InputError, match="another architecture"):
         load_checkpoint(saved)
+
+
+def unsigned(card: Path) -> str:
+    """A card without the sha256 of its content, as earlier versions wrote it."""
+    content = json.loads(card.read_text())
+    del content["content_sha256"]
+    return json.dumps(content, indent=1)
 
 
 @pytest.mark.parametrize(
@@ -93,8 +101,12 @@ def test_weights_of_another_architecture(saved: Path) -> None:
         (lambda card: card.unlink(), MissingFileError),
         (lambda card: card.write_text("{"), IntegrityError),
         (lambda card: card.write_text('{"format": "other"}'), InputError),
-        (lambda card: card.write_text(card.read_text().replace('"width"', '"depth"')), InputError),
-        (lambda card: card.write_text(card.read_text().replace('"updates"', '"steps"')), InputError),
+        (lambda card: card.write_text(unsigned(card).replace('"width"', '"depth"')), InputError),
+        (lambda card: card.write_text(unsigned(card).replace('"updates"', '"steps"')), InputError),
+        (lambda card: card.write_text(unsigned(card).replace('"width": 8', '"width": 100000')), InputError),
+        (lambda card: card.write_text(unsigned(card).replace('"updates": 10', '"updates": "10"')), InputError),
+        (lambda card: card.write_text(card.read_text().replace("0.5", "0.75")), IntegrityError),
+        (lambda card: card.write_text("[" * 100_000), IntegrityError),
         (lambda card: card.with_suffix(".safetensors").unlink(), MissingFileError),
     ],
 )

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 
+from baselines.tae import scoring
 from baselines.tae.checkpoint import Checkpoint, save_checkpoint
 from baselines.tae.network import Architecture, TaeNetwork
 from baselines.tae.rotation import turn_end_effector
@@ -83,7 +84,7 @@ def test_scenes_and_hands_are_encoded_once(monkeypatch: pytest.MonkeyPatch) -> N
     encoded = {"encode_scene": 0, "encode_end_effector": 0}
 
     def counted(name: str) -> Callable[[torch.Tensor], torch.Tensor]:
-        real = getattr(scorer._network, name)
+        real = getattr(scorer._exact._network, name)
 
         def call(given: torch.Tensor) -> torch.Tensor:
             encoded[name] += len(given)
@@ -92,12 +93,59 @@ def test_scenes_and_hands_are_encoded_once(monkeypatch: pytest.MonkeyPatch) -> N
         return call
 
     for name in encoded:
-        monkeypatch.setattr(scorer._network, name, counted(name))
+        monkeypatch.setattr(scorer._exact._network, name, counted(name))
     found = [scorer.log_odds(scene, hands, 16) for _ in range(2)]
     assert encoded == {"encode_scene": 2 * 3, "encode_end_effector": 8 + 16}  # a bare hand has half of the angles
     one_by_one = np.concatenate([alone.log_odds(scene[n : n + 1], hands[n : n + 1], 16) for n in range(3)])
     for maps in found:
         np.testing.assert_allclose(maps, one_by_one, atol=1e-5)
+
+
+def looking_first(network: TaeNetwork, monkeypatch: pytest.MonkeyPatch) -> Scorer:
+    """A scorer that looks in bfloat16 first, whatever the processor."""
+    monkeypatch.setattr(scoring, "multiplies_bfloat16", lambda: True)
+    return Scorer(network)
+
+
+@pytest.mark.parametrize("name", sorted(SITUATIONS))
+def test_a_first_look_leaves_the_best_action_and_its_score(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    batch = question(SITUATIONS[name])
+    angles = 8 if not batch.valid[..., 8:].any() else 16
+    for seed in range(3):
+        scorer = looking_first(settled(seed), monkeypatch)
+        whole = scorer.log_odds(batch.scene, batch.end_effector, angles)
+        looked = scorer.log_odds(batch.scene, batch.end_effector, angles, batch.valid)
+        left_out = np.isneginf(looked)
+        np.testing.assert_allclose(looked[~left_out], whole[~left_out], atol=1e-5)
+        valid = batch.valid[..., :angles]
+        assert np.where(valid, looked, -np.inf).argmax() == np.where(valid, whole, -np.inf).argmax()
+
+
+def test_a_first_look_does_not_decide_what_bfloat16_cannot_tell_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of angles whose best scores are this near, all are scored in float32."""
+    batch = question(SITUATIONS["tool"])
+    scorer = looking_first(settled(), monkeypatch)
+    asked: list[list[int]] = []
+    rough = np.full((16, 64, 64), -9.0, np.float32)
+    rough[3, 30, 30], rough[9, 20, 20], rough[12, 40, 40] = 8.0, 7.3, 7.0  # the margin is 0.5 + 8 / 32
+    rough[5, 0, 0] = 99.0  # not a valid place
+    assert scorer._rough is not None
+    real = scorer._exact.log_odds
+    monkeypatch.setattr(scorer._rough, "log_odds", lambda *_: rough)
+    monkeypatch.setattr(scorer._exact, "log_odds", lambda *given: (asked.append(given[2].tolist()), real(*given))[1])
+    scorer.log_odds(batch.scene, batch.end_effector, 16, batch.valid)
+    assert asked == [[3, 9]]
+
+
+def test_what_was_asked_before_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kernels of a hand that are computed at different times, in different company, are the same."""
+    batch, other = question(SITUATIONS["gripper_push"]), question(SITUATIONS["tool"])
+    network = settled()
+    fresh, used = (looking_first(network, monkeypatch) for _ in range(2))
+    for angles in ([5], [1, 5, 2]):
+        used._exact.log_odds(other.scene[0], batch.end_effector[0], np.array(angles))
+    answers = [one.log_odds(batch.scene, batch.end_effector, 16, batch.valid) for one in (fresh, used)]
+    assert np.array_equal(*answers)
 
 
 def compare_openvino(joint: Path) -> None:
@@ -150,7 +198,7 @@ def test_the_best_valid_action_is_taken(joint: Path, name: str) -> None:
 
 def test_ties_go_to_the_lowest_index(joint: Path) -> None:
     policy, batch = TaePolicy(joint), question(SITUATIONS["gripper_grasp"])
-    policy._log_odds = lambda observations: np.full((1, 64, 64, 16), 0.5, np.float32)  # type: ignore[method-assign]
+    policy._log_odds = lambda observations, best=False: np.full((1, 64, 64, 16), 0.5, np.float32)  # type: ignore[method-assign]
     assert policy.act(batch)[0] == np.flatnonzero(batch.valid[0].reshape(-1))[0]
 
 
@@ -159,7 +207,7 @@ def test_rounding_does_not_decide_between_equal_scores(joint: Path) -> None:
     first, other = np.flatnonzero(batch.valid[0].reshape(-1))[[100, 200]]
     scores = np.zeros((1, 64, 64, 16), np.float32)
     scores.reshape(-1)[[first, other]] = 5.0, 5.00001
-    policy._log_odds = lambda observations: scores  # type: ignore[method-assign]
+    policy._log_odds = lambda observations, best=False: scores  # type: ignore[method-assign]
     assert policy.act(batch)[0] == first
     scores.reshape(-1)[other] = 5.001
     assert policy.act(batch)[0] == other
@@ -170,7 +218,7 @@ def test_a_sure_network_still_prefers_one_action(joint: Path) -> None:
     first, other = np.flatnonzero(batch.valid[0].reshape(-1))[[100, 200]]
     scores = np.zeros((1, 64, 64, 16), np.float32)
     scores.reshape(-1)[[first, other]] = 40.0, 41.0  # both are probabilities of 1 in float32
-    policy._log_odds = lambda observations: scores  # type: ignore[method-assign]
+    policy._log_odds = lambda observations, best=False: scores  # type: ignore[method-assign]
     assert policy.act(batch)[0] == other
 
 

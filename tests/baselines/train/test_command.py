@@ -59,3 +59,21 @@ def test_pictures_that_cannot_be_drawn_are_refused_before_the_training(
     monkeypatch.setattr(pictures, "find_spec", lambda name: None)
     done = CliRunner().invoke(cli, command(release, tmp_path / "out", "--pictures", str(tmp_path / "maps.png")))
     assert done.exit_code == 2 and "rema[report]" in done.output and not (tmp_path / "out").exists()
+
+
+def test_one_training_a_seed(release: rema_data.Release, tmp_path: Path) -> None:
+    """Each in a folder of its own, equal to the training with that seed alone."""
+    out = tmp_path / "out"
+    done = CliRunner().invoke(cli, command(release, out, "--seeds", "0-1,3", "--json"))
+    assert done.exit_code == 0, done.output
+    cards = json.loads(done.stdout)
+    assert [card["training"]["seed"] for card in cards] == [0, 1, 3]
+    assert sorted(folder.name for folder in out.iterdir()) == ["seed-0", "seed-1", "seed-3"]
+    alone = CliRunner().invoke(cli, command(release, tmp_path / "alone", "--seed", "3", "--json"))
+    assert json.loads(alone.stdout)["sha256"] == cards[2]["sha256"] != cards[0]["sha256"]
+
+
+@pytest.mark.parametrize("seeds", ["2-0", "a", "1,1", "0-", "-1"])
+def test_seeds_that_are_none_are_named(release: rema_data.Release, tmp_path: Path, seeds: str) -> None:
+    done = CliRunner().invoke(cli, command(release, tmp_path / "out", f"--seeds={seeds}"))
+    assert done.exit_code == 2 and "--seeds" in done.output and not (tmp_path / "out").exists()

@@ -71,22 +71,47 @@ def test_what_an_interrupted_verb_does_when_it_is_run_again(
     assert result.exit_code == 130 and result.stderr.endswith(f"run the same command {end}\n")
 
 
-@pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
-def test_stop_signals_interrupt_once_and_tidily(kind: signal.Signals) -> None:
-    code = (
-        "import click, os, signal, time, importlib\n"
-        "from evaluator.cli.main import cli\n"
-        "@click.command()\n"
-        "def evaluate():\n"
-        "    try:\n"
-        f"        os.kill(os.getpid(), {int(kind)}); time.sleep(9)\n"
-        "    finally:\n"
-        f"        os.kill(os.getpid(), {int(kind)}); print('tidied', flush=True)\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"  # the tests themselves may run under nohup
-        "importlib.import_module('evaluator.cli.evaluate').evaluate = evaluate\n"
-        "cli(['evaluate'], prog_name='rema')\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert (done.returncode, done.stdout) == (130, "tidied\n")
+STOPPED = """
+import importlib, os, signal, sys, time
+import click
+from rema_data import interrupts
+@click.command()
+def evaluate():
+    try:
+        for kind in ({kind}, signal.SIGINT, {kind}):
+            os.kill(os.getpid(), kind)
+        for step in range(99):
+            {step}
+            interrupts.check()
+    finally:
+        print("tidied", step, flush=True)
+importlib.import_module("evaluator.cli.evaluate").evaluate = evaluate
+interrupts.GRACE_S = 0.3
+sys.argv[1:] = ["evaluate"]
+from evaluator.cli.{start}
+"""
+STARTS = {"start": "start import main; main()", "main": "main import cli; sys.exit(cli())"}
+
+
+def stopped(kind: signal.Signals, step: str, start: str = "start") -> subprocess.CompletedProcess[str]:
+    ordinary = "import signal\nfor kind in (1, 2, 15): signal.signal(kind, signal.SIG_DFL)\n"  # also under nohup
+    code = ordinary + STOPPED.format(kind=int(kind), step=step, start=STARTS[start])
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+
+
+@pytest.mark.parametrize(
+    ("kind", "code", "start"),
+    [(signal.SIGINT, 130, "start"), (signal.SIGTERM, 143, "start"), (signal.SIGHUP, 129, "main")],
+)
+def test_a_signal_stops_a_verb_between_two_steps_and_the_first_one_decides(
+    kind: signal.Signals, code: int, start: str
+) -> None:
+    done = stopped(kind, "pass", start)
+    assert (done.returncode, done.stdout) == (code, "tidied 0\n")
     assert "interrupted" in done.stderr and "Traceback" not in done.stderr
+
+
+def test_a_step_that_takes_too_long_is_ended() -> None:
+    done = stopped(signal.SIGTERM, "time.sleep(60)")
+    assert (done.returncode, done.stdout) == (143, "")
+    assert "interrupted; run the same command again" in done.stderr and "Traceback" not in done.stderr

@@ -233,11 +233,92 @@ def test_a_real_pipe(here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert "\x1b" not in done.stdout + done.stderr
 
 
-def test_a_terminal_wraps_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A table wider than the terminal keeps its width, and its colours."""
+def in_terminal(monkeypatch: pytest.MonkeyPatch, width: int, **options: Any) -> io.StringIO:
+    """Let the verbs print on a terminal of this width; return what they print."""
     stream = io.StringIO()
-    terminal = Console(file=stream, force_terminal=True, width=40, color_system="standard", _environ={})
+    terminal = Console(file=stream, force_terminal=True, width=width, _environ={}, **{"color_system": None} | options)
     monkeypatch.setattr(output, "console", lambda err=False: terminal)
+    return stream
+
+
+TABLES: dict[str, str] = {
+    **{verb: VERB_CASES[verb][0] for verb in ("verify", "doctor", "leaderboard", "compare", "check", "export")},
+    "stats": "{here}/mirror/tiny",
+    "preview": "--release {here}/mirror/tiny --count 2 --table",
+    "download": "tiny --source {here}/mirror --dry-run",
+    "evaluate": "random --task grasp --episodes 20 --engine inline --output {new}",
+    "replay": "{here}/false --engine inline",
+}
+"""Arguments with which a verb prints a table."""
+
+
+@pytest.mark.parametrize("verb", TABLES)
+def test_no_terminal_cuts_a_value_of_a_table(
+    verb: str, rema: Rema, here: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    if verb == "replay":
+        false_run(here)
+    cells: list[str] = []
+    for name in ("_print_grid", "_print_records"):
+        monkeypatch.setattr(output, name, recorded(getattr(output, name), cells))
+    for width in (40, 60, 80):
+        cells.clear()
+        stream = in_terminal(monkeypatch, width)
+        result = rema(verb, TABLES[verb])
+        assert isinstance(result.exception, SystemExit | None), result.exception
+        printed = stream.getvalue()
+        assert cells and "\N{HORIZONTAL ELLIPSIS}" not in printed
+        broken = [line[at : at + width] for line in printed.splitlines() for at in range(0, len(line), width)]
+        missing = {cell for cell in cells if len(cell) <= width and not any(cell in line for line in broken)}
+        assert not missing, f"{missing} at {width}:\n{printed}"
+        assert all(cell in printed for cell in cells)
+        shutil.rmtree(tmp_path / "new", ignore_errors=True)
+
+
+def recorded(printer: Callable[..., None], cells: list[str]) -> Callable[..., None]:
+    """The printer, which notes the cells of its rows."""
+
+    def spy(names: Any, rows: Any, *more: Any) -> None:
+        cells.extend(cell.plain for row in rows for cell in row or () if cell.plain)
+        printer(names, rows, *more)
+
+    return spy
+
+
+def false_run(here: Path) -> None:
+    """A run whose results are not what its actions give."""
+    if not (here / "false").exists():
+        shutil.copytree(here / "fake", here / "false")
+        (here / "false" / "summary.json").write_text("{}")
+
+
+def test_a_narrow_table_says_which_columns_it_leaves_out(monkeypatch: pytest.MonkeyPatch, rema: Rema) -> None:
+    stream = in_terminal(monkeypatch, 60)
+    rema("leaderboard", VERB_CASES["leaderboard"][0])
+    printed = stream.getvalue()
+    (told,) = re.findall(r"no room for all of: (.*); a wider terminal", printed)
+    header = next(line for line in printed.splitlines() if line.startswith("policy "))
+    assert told and not set(told.split(", ")) & set(header.split()) and len(header) <= 60
+    stream = in_terminal(monkeypatch, 200)
+    rema("leaderboard", VERB_CASES["leaderboard"][0])
+    assert "no room" not in stream.getvalue()
+
+
+def test_rows_become_records(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = [("push", "1,234,567", ""), None, ("grasp_grasp_push", "8", "a note that is far too long")]
+    for width, lines in (
+        (60, ["task               episodes", "push              1,234,567", "8  a note that is far too long"]),
+        (30, ["task      push", "episodes  1,234,567", "task      grasp_grasp_push", "a note that is far too long"]),
+        (14, ["task", "episodes", "1,234,567", "grasp_grasp_push"]),
+    ):
+        stream = in_terminal(monkeypatch, width)
+        output.print_table(("task", "episodes", ""), rows, right=("episodes",))
+        assert all(any(line.endswith(words) for line in stream.getvalue().splitlines()) for words in lines)
+
+
+def test_a_terminal_wraps_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is longer than a line stays one line, and colours stay."""
+    stream = in_terminal(monkeypatch, 40, color_system="standard")
     output.print_table(("file", "state"), [("ok", "fine"), (LONG, output.plain("bad", "red"))], title=LONG)
     output.line(f"look at {LONG}", "yellow")
     output.print_facts([("run", LONG)])

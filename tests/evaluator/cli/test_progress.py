@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 
 import pytest
@@ -74,3 +75,18 @@ def test_a_phase_in_bytes(capsys: pytest.CaptureFixture[str], monkeypatch: pytes
         progress.phase("download", 30_000_000)
         progress.advance(20_000_000)
     assert "download: 20.0 MB/30.0 MB in 10.0 s, 2.0 MB/s" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("width", [12, 24, 40, 60, 80])
+def test_no_terminal_cuts_the_numbers(monkeypatch: pytest.MonkeyPatch, width: int) -> None:
+    """A narrow one does without the bar, then without the other numbers: the count stays whole."""
+    stream = io.StringIO()
+    terminal = Console(file=stream, force_terminal=True, width=width, color_system=None, _environ={})
+    monkeypatch.setattr(output, "console", lambda err=False: terminal)
+    with StderrProgress() as progress:
+        progress.phase("simulate again", 10_000)
+        progress.advance(9_999)
+        progress.tell("loss 0.5251")
+    printed = stream.getvalue()
+    assert "9999/10000" in printed and "\N{HORIZONTAL ELLIPSIS}" not in printed
+    assert ("simulate again" in printed) == (width > 24) and ("loss" in printed) == ("loss 0.5251" in printed)

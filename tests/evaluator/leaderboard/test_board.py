@@ -185,8 +185,10 @@ def test_what_nobody_simulated_stands_apart(write: Write) -> None:
 
 def test_a_policy_that_carries_the_simulator_has_letters_and_no_rank(write: Write, tmp_path: Path) -> None:
     entry = write_entry(tmp_path / "oracle.json", write("oracle", solved(0.99, 1)), kind_of_policy="simulator")
-    board = leaderboard([entry, write("mine", solved(0.5, 2))], published=False)
+    said = write("said", solved(0.9, 3), simulator=True)  # by the class of the policy
+    board = leaderboard([entry, write("mine", solved(0.5, 2)), said], published=False)
     found = rows(board)
+    assert (found["said"].tag, found["said"].rank) == ("simulator", None)
     assert (found["oracle"].tag, found["oracle"].rank, found["mine"].rank) == ("simulator", None, 1)
     assert found["oracle"].ties != found["mine"].ties and remark(board, "simulator: it carries")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -75,7 +76,7 @@ def test_markdown_has_one_cell_for_every_column() -> None:
     assert len(lines) == 2 + len(BOARD.rows)
     for line in lines:
         assert line.replace("\\|", "").count("|") == len(COLUMNS) + 1
-    assert "first remark" in export(BOARD, "md")
+    assert "first remark" in export(BOARD, "md") and "grasp_push" in export(BOARD, "md")
 
 
 class Parser(HTMLParser):
@@ -107,6 +108,36 @@ def test_html_is_whole_and_runs_nothing() -> None:
     assert parser.open == [] and "script" not in parser.tags and parser.tags.count("table") == 2
     assert HOSTILE in parser.text and set(parser.links) == {ROW.link}
     assert "grasp_push, conditional (scenarios 55555555, protocol 66666666)" in parser.text
+
+
+TRICKS = (
+    "<img src=x onerror=alert(1)>",
+    "[click](javascript:alert(1))",
+    "![x](https://evil.example/p.png)",
+    "a\nb | c\r\n# heading",
+    "`code` **bold** __init__ &lt;",
+    '=HYPERLINK("https://evil.example")',
+    "\t@SUM(1)",
+    "x\n\\input{/etc/passwd}",
+)
+
+
+@pytest.mark.parametrize("trick", TRICKS)
+def test_names_from_files_stay_text(trick: str) -> None:
+    board = Board((replace(ROW, policy=trick, link=f"javascript:{trick}"), ROW), (trick,))
+    markdown = export(board, "md").splitlines()
+    assert len(markdown) == 2 + 2 + 2 and len([line for line in markdown if line.startswith("|")]) == 4
+    for line in (markdown[2], markdown[-1]):
+        plain = re.sub(r"\\[\\`*_<>|&~(\[:!#]", "", line)
+        assert not re.search(r"[<`*&]|\]\(|!\[", plain)
+    parser = Parser()
+    parser.feed(export(board, "html"))
+    assert parser.open == [] and set(parser.links) == {ROW.link} and not {"img", "script"} & {*parser.tags}
+    latex = export(board, "tex").splitlines()
+    assert not any(line.startswith("\\input") for line in latex) and latex[-1].startswith("% ")
+    table = list(csv.DictReader(io.StringIO(export(board, "csv"))))
+    assert not table[0]["policy"].lstrip().startswith(("=", "@", "+", "-")) and table[0]["successes"] == "450"
+    assert json.loads(export(board, "json"))["rows"][0]["policy"] == trick
 
 
 def test_latex_escapes_what_latex_reads() -> None:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evaluator.policy import PolicyHost, PolicySpec
+from evaluator.policy import PolicyHost
 from evaluator.policy.sandbox import allowlist
 from evaluator.policy.sandbox.allowlist import allowed_for
 from tests.evaluator.policy.batches import make_batch
@@ -36,7 +36,7 @@ def filled(root: Path, paths: set[tuple[str, ...]]) -> list[Path]:
     return made
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(
     paths=st.sets(st.lists(NAMES, min_size=1, max_size=4).map(tuple), min_size=1, max_size=12),
     secret=st.lists(NAMES, min_size=1, max_size=3),
@@ -47,7 +47,7 @@ def test_everything_but_the_secret(paths: set[tuple[str, ...]], secret: list[str
         root.mkdir()
         files = filled(root, paths)
         hidden = root.joinpath(*secret)
-        read = allowed_for(root / "my_policy.py", None, Path(name, "tmp"), {}, [hidden]).read
+        read = allowed_for([], Path(name, "tmp"), {"PYTHONPATH": str(root)}, [hidden]).read
         for file in files:
             assert readable(file, read) == (not file.is_relative_to(hidden)), file
 
@@ -57,17 +57,43 @@ def test_the_scenario_lists_of_an_installed_package(tmp_path: Path, monkeypatch:
     files = filled(site, {("rema_data", "_manifests", "list"), ("rema_data", "grid.py"), ("numpy.libs", "blas.so")})
     monkeypatch.setattr(allowlist, "secrets", lambda: [site / "rema_data" / "_manifests"])
     monkeypatch.setattr(sys, "path", [str(site)])
-    read = allowed_for(tmp_path / "elsewhere" / "p.py", None, tmp_path / "tmp", {}).read
+    read = allowed_for([], tmp_path / "tmp", {}).read
     assert [readable(file, read) for file in files] == [True, False, True]
 
 
-def test_a_policy_in_the_home_folder_does_not_open_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("place", ["", "lib/python3.11/site-packages", "envs/other/lib/python3.12/site-packages"])
+def test_another_installation_of_rema_shows_its_packages_and_no_more(place: str, tmp_path: Path) -> None:
+    root = tmp_path / "prefix"
+    files = filled(
+        root / place,
+        {
+            ("manifests", "scenarios", "list"),
+            ("rema_data", "__init__.py"),
+            ("rema_data", "_manifests", "scenarios", "list"),
+            ("rema_data", "grid.py"),
+        },
+    )
+    read = allowed_for([], tmp_path / "tmp", {"CONDA_PREFIX": str(root)}).read
+    shown = {file.relative_to(root / place).as_posix() for file in files if readable(file, read)}
+    assert shown == {"rema_data/__init__.py", "rema_data/grid.py"}
+
+
+def test_of_another_checkout_its_runs_and_its_history_stay_unseen(tmp_path: Path) -> None:
+    files = filled(
+        tmp_path / "checkout",
+        {(".git", "HEAD"), ("runs", "x"), ("manifests", "x"), ("rema_data", "__init__.py"), ("README.md",)},
+    )
+    read = allowed_for([], tmp_path / "tmp", {"PYTHONPATH": str(tmp_path / "checkout")}).read
+    assert sorted(file.name for file in files if readable(file, read)) == ["README.md", "__init__.py"]
+
+
+def test_the_home_folder_on_the_path_is_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     files = filled(
         tmp_path,
         {("mine", "__init__.py"), ("mine", "x.npz"), ("weights.npz",), (".netrc",), ("photos", "cat"), (".ssh", "key")},
     )
     monkeypatch.setattr(Path, "home", lambda: tmp_path)
-    read = allowed_for(tmp_path / "p.py", None, tmp_path / "tmp", {}).read
+    read = allowed_for([], tmp_path / "tmp", {"PYTHONPATH": str(tmp_path)}).read
     assert {file.relative_to(tmp_path).as_posix() for file in files if readable(file, read)} == {
         "mine/__init__.py",
         "mine/x.npz",
@@ -75,42 +101,31 @@ def test_a_policy_in_the_home_folder_does_not_open_it(tmp_path: Path, monkeypatc
     }
 
 
-def test_a_link_in_the_folder_of_the_weights_opens_nothing(tmp_path: Path) -> None:
-    (tmp_path / "weights").mkdir()
-    (tmp_path / "secret").write_text("")
-    (tmp_path / "weights" / "link").symlink_to(tmp_path / "secret")
-    read = allowed_for(tmp_path / "code" / "p.py", tmp_path / "weights", tmp_path / "tmp", {}).read
-    assert readable(tmp_path / "weights", read) and not readable(tmp_path / "secret", read)
-
-
-@pytest.fixture
-def reader(write_policy: WritePolicy) -> PolicySpec:
-    """A policy that reads every file below its own folder, and prints which it may not."""
-    return write_policy(
-        """
-        for place, _, names in os.walk(os.path.dirname(__file__)):
-            for name in names:
-                try:
-                    open(os.path.join(place, name)).read()
-                except PermissionError:
-                    print(os.path.join(place, name))
-        return good
-        """
-    )
-
-
 def test_manifests_caches_and_runs_beside_the_policy(
-    reader: PolicySpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    write_policy: WritePolicy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The kernel denies them, and not the policy's own data."""
+    """They are not in the copy, and the kernel denies them in their own place; the policy's data are in the copy."""
     hidden = filled(
         tmp_path,
         {("manifests", "list"), ("home", "cache"), ("runs", "now", "run.json"), ("runs", "before", "run.json")},
     )
-    filled(tmp_path, {("data", "x.npz")})
+    own = filled(tmp_path, {("data", "x.npz")})
     monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
     monkeypatch.setenv("REMA_HOME", str(tmp_path / "home"))
-    with PolicyHost(reader, None, "cpu", LIMITS, tmp_path / "runs" / "now" / "policy.log") as host:
+    spec = write_policy(
+        f"""
+        for place in {[str(file) for file in (*hidden, *own)]!r}:
+            beside = os.path.join(os.path.dirname(__file__), os.path.relpath(place, {str(tmp_path)!r}))
+            for name in (place, beside):
+                try:
+                    open(name).read()
+                    print(name == place, os.path.basename(name))
+                except OSError:
+                    pass
+        return good
+        """
+    )
+    with PolicyHost(spec, None, "cpu", LIMITS, tmp_path / "runs" / "now" / "policy.log") as host:
         skip_without_sandbox(host)
         assert reasons(host.act(make_batch(1))) == ["ok"]
-    assert set(host.output.splitlines()) == {str(file) for file in hidden}
+    assert host.output.splitlines() == ["False x.npz"]

@@ -18,6 +18,7 @@ from evaluator.policy.output import CappedOutput
 from evaluator.policy.process import ChildProcess
 from evaluator.policy.sandbox.cleanup import remove_folder
 from evaluator.policy.sandbox.launch_spec import LaunchSpec
+from evaluator.policy.sandbox.snapshot import take_snapshot
 from evaluator.policy.wire import frame_parts
 from tests.evaluator.policy.batches import make_batch
 from tests.evaluator.policy.conftest import WritePolicy
@@ -114,7 +115,7 @@ def test_a_folder_nested_without_end_is_removed(tmp_path: Path) -> None:
 
 
 def test_time_while_the_evaluator_is_suspended_does_not_count(
-    write_policy: WritePolicy, monkeypatch: pytest.MonkeyPatch
+    write_policy: WritePolicy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock, leap = time.monotonic, [0.0]
 
@@ -124,9 +125,9 @@ def test_time_while_the_evaluator_is_suspended_does_not_count(
 
     output = CappedOutput(None, 1000, 1000)
     spec = write_policy("return good")
-    launch = LaunchSpec(spec.path)
+    launch = LaunchSpec(take_snapshot(spec, None, tmp_path / "copy"))
     child = ChildProcess(output, launch)
-    order = {"op": "load", "path": str(spec.path), "class_name": "Policy"}
+    order = {"op": "load", "path": str(launch.snapshot.policy), "import_root": None, "class_name": "Policy"}
     monkeypatch.setattr(evaluator.policy.process.time, "monotonic", leaping)
     try:
         child.ask(frame_parts(launch.orders(child.folder)), 50.0, 0)

@@ -16,28 +16,24 @@ from typing import Any
 import psutil
 import pytest
 
-from evaluator.policy import Answer, PolicyFault, PolicyHost, PolicyLimits, PolicySpec, resolve
+from evaluator.policy import PolicyFault, PolicyHost, PolicyLimits, PolicySpec, digest, resolve
 from evaluator.policy.wire import batch_frame
-from rema_data import grid
-from rema_data.errors import PolicyFailureError, SubmissionError
+from evaluator.rollout.backend import Backend
+from rema_data.errors import PolicyFailureError
 from tests.evaluator.fakes import fake_backend, fake_config
-from tests.evaluator.policy import hostile
 from tests.evaluator.policy.batches import make_batch, make_situation
 from tests.evaluator.policy.conftest import skip_without_sandbox
+from tests.evaluator.policy.hostile import every
+from tests.evaluator.policy.hostile.verdicts import PATIENT, SMALL, successes, verdict
 from tests.evaluator.policy.test_host_answers import reasons
 
-PATIENT = PolicyLimits(start_s=60, batch_s=30, single_s=30)
-SMALL = PolicyLimits(start_s=60, batch_s=30, memory_bytes=400 << 20, disk_bytes=48 << 20, disk_files=100)
+DEADLY = ("Crashes", "Stops", "HoldsInterpreter", "Babbles", "ClosesPipes")
+WITHOUT_KERNEL = ("FillsDisk", "FillsDiskUnlinked", "FillsDiskMapped", "FillsDiskDeep", "FillsDiskUnreadable",
+                  "MakesManyFiles", "AllocatesShared")  # fmt: skip
 
 
 def policy(name: str) -> PolicySpec:
-    return resolve(f"{hostile.__file__}:{name}")
-
-
-def successes(answers: list[Answer]) -> set[int]:
-    """What the hostile policies say of their tries."""
-    assert reasons(answers) == ["ok"] * len(answers)
-    return {int(grid.decode(int(answer))[2]) for answer in answers}  # type: ignore[arg-type]
+    return resolve(every.place(name))
 
 
 @pytest.fixture(autouse=True)
@@ -58,63 +54,95 @@ def _sandboxed() -> None:
 
 
 @pytest.mark.usefixtures("_sandboxed")
-@pytest.mark.parametrize(
-    ("name", "harmless"),
-    [
-        ("ReadsScenarios", 1),  # a link of its own that leads nowhere
-        ("InspectsEvaluator", 0),
-        ("SignalsEvaluator", 0),
-        ("OpensSockets", 0),
-        ("StartsProcesses", 0),
-        ("ChangesFiles", 0),
-        ("LiftsLimits", 0),
-    ],
-)
-def test_what_is_denied(name: str, harmless: int, tmp_path: Path) -> None:
+def test_what_is_denied(tmp_path: Path) -> None:
+    """Every policy that tries what it must not do, in one process."""
     weights = tmp_path / "weights.npz"
     weights.write_bytes(b"weights")
-    with PolicyHost(policy(name), weights, "cpu", PATIENT) as host:
-        assert successes(host.act(make_batch(3))) == {harmless}
-        assert host.restarts == 0
+    other = tmp_path / "other"  # another installation of rema that the environment leads to
+    for lists in (other / "manifests", other / "rema_data" / "_manifests"):
+        (lists / "scenarios" / "v1").mkdir(parents=True)
+        (lists / "scenarios" / "v1" / "manifest.json").write_text("{}")
+    (other / ".git").mkdir()
+    (other / ".git" / "HEAD").write_text("")
+    (other / "rema_data" / "__init__.py").write_text("")
+    for folder in (tmp_path, other):
+        folder.chmod(0o755)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", os.pathsep.join([os.environ.get("PYTHONPATH", ""), str(other)]))
+        with PolicyHost(resolve(f"{every.__file__}:TriesAll"), weights, "cpu", PATIENT) as host:
+            answers = host.act(make_batch(len(every.TRYING)))
+            assert host.restarts == 0
+    assert reasons(answers) == ["ok"] * len(every.TRYING)
+    found = {name: successes(one) for name, one in zip(every.TRYING, answers, strict=True)}
+    assert found == {name: every.POLICIES[name].harmless for name in every.TRYING}, host.output
     assert weights.read_bytes() == b"weights"
 
 
-@pytest.mark.parametrize("name", ["ReadsScenarios", "OpensSockets"])
-def test_without_the_sandbox_the_same_policies_succeed(name: str) -> None:
+def test_without_the_sandbox_the_same_policies_succeed() -> None:
     """So the sandbox denies what is denied above."""
-    with PolicyHost(policy(name), None, "cpu", PATIENT, confine=False) as host:
+    with PolicyHost(resolve(f"{every.__file__}:TriesSome"), None, "cpu", PATIENT, confine=False) as host:
         assert host.isolation.level == "L1"
-        assert min(successes(host.act(make_batch(1)))) > 1
+        answers = host.act(make_batch(len(every.ASKING)))
+    found = {name: successes(one) for name, one in zip(every.ASKING, answers, strict=True)}
+    assert min(found.values()) > 0, found
 
 
+@pytest.mark.usefixtures("_sandboxed")
 @pytest.mark.parametrize(
-    ("name", "reason", "words"),
+    ("name", "words"),
     [
-        ("FillsDisk", "died", "filled its temporary folder"),
-        ("FillsDiskUnseen", "died", "filled its temporary folder"),
-        ("WritesOneFile", "exception", "File too large"),
-        ("Allocates", "exception", "MemoryError"),
-        ("AllocatesShared", "died", "of memory"),
+        ("WritesOneFile", "File too large"),
+        ("Allocates", "MemoryError"),
+        ("AllocatesShared", "Operation not permitted"),
+        ("AllocatesFiles", "Operation not permitted"),
+        ("AllocatesPipes", "Operation not permitted"),
+        ("StartsManyThreads", "can't start new thread"),
     ],
 )
-def test_what_takes_too_much(name: str, reason: str, words: str) -> None:
+def test_what_takes_too_much(name: str, words: str) -> None:
     with PolicyHost(policy(name), None, "cpu", SMALL) as host:
         (fault,) = host.act(make_batch(1))
-        assert isinstance(fault, PolicyFault) and fault.reason == reason
-        assert words in fault.detail
+        assert isinstance(fault, PolicyFault) and fault.reason == "exception"
+        assert words in fault.detail and "sandbox: rule" in fault.detail
 
 
-def test_many_files_are_too_much(tmp_path: Path) -> None:
-    path = tmp_path / "my_policy.py"
-    path.write_text(
-        "import os, time\nclass Policy:\n    def __init__(self, checkpoint, device):\n"
-        "        for n in range(200): os.mkdir(str(n))\n        time.sleep(60)\n    def act(self, observations): ...\n"
-    )
-    with (
-        pytest.raises(SubmissionError, match="more than 100 files"),
-        PolicyHost(resolve(str(path)), None, "cpu", SMALL),
-    ):
-        pass
+@pytest.mark.parametrize("name", WITHOUT_KERNEL)
+def test_what_takes_too_much_without_the_kernel(name: str) -> None:
+    """Where the kernel keeps no limit, the evaluator looks: nothing can be hidden from it."""
+    with PolicyHost(policy(name), None, "cpu", SMALL, confine=False) as host:
+        (fault,) = host.act(make_batch(1))
+        assert isinstance(fault, PolicyFault) and fault.reason == "died"
+        assert "temporary folder" in fault.detail or "of memory" in fault.detail
+
+
+@pytest.mark.usefixtures("_sandboxed")
+@pytest.mark.parametrize("name", ["FillsDisk", "FillsDiskMapped", "FillsDiskDeep", "MakesManyFiles"])
+def test_a_full_folder_is_a_fault(name: str) -> None:
+    with PolicyHost(policy(name), None, "cpu", SMALL) as host:
+        (fault,) = host.act(make_batch(1))
+        assert isinstance(fault, PolicyFault)
+        if "tmpfs" in host.isolation.to_dict()["up"]["disk"]:
+            assert "No space left on device" in fault.detail and "rule disk" in fault.detail
+        else:
+            assert "temporary folder" in fault.detail
+
+
+@pytest.mark.parametrize("name", DEADLY)
+def test_how_they_end(name: str, tmp_path: Path) -> None:
+    found = verdict(name, tmp_path)
+    assert found.contained and found.counted, found
+
+
+@pytest.mark.benchmark
+@pytest.mark.usefixtures("_sandboxed")
+@pytest.mark.parametrize("name", every.POLICIES)
+def test_every_policy_is_contained_and_counted(name: str, tmp_path: Path) -> None:
+    found = verdict(name, tmp_path)
+    assert found.contained and found.counted, found
+
+
+def test_there_are_sixty_policies() -> None:
+    assert len(every.POLICIES) >= 60
 
 
 def test_slow_answers_use_up_the_time_of_the_run() -> None:
@@ -132,11 +160,11 @@ def test_what_it_remembers_is_gone_with_its_process() -> None:
     deadly = make_batch(1)
     deadly.scene[:] = -1
     with PolicyHost(policy("Remembers"), None, "cpu", PATIENT) as host:
-        assert [successes(host.act(make_batch(1))) for _ in range(3)] == [{0}, {1}, {2}]
+        assert [successes(host.act(make_batch(1))[0]) for _ in range(3)] == [0, 1, 2]
         assert reasons(host.act(deadly)) == ["died"]
-        assert successes(host.act(make_batch(1))) == {0}
+        assert successes(host.act(make_batch(1))[0]) == 0
     with PolicyHost(policy("Remembers"), None, "cpu", PATIENT) as host:
-        assert successes(host.act(make_batch(1))) == {0}
+        assert successes(host.act(make_batch(1))[0]) == 0
 
 
 @pytest.mark.parametrize("name", ["CountsQuestions", "RemembersObservations"])
@@ -154,15 +182,15 @@ def test_answers_by_the_order_of_the_questions_change_with_it(name: str) -> None
 
 
 def test_privilege_is_not_gained_by_a_restart(tmp_path: Path) -> None:
-    notes = tmp_path / "notes"
-    notes.write_text("")
+    weights = tmp_path / "weights"
+    weights.write_text(str(tmp_path / "notes"))
     situation = make_situation()
-    with PolicyHost(policy("FlipsPrivilege"), notes, "cpu", PATIENT, confine=False) as host:
+    with PolicyHost(policy("FlipsPrivilege"), weights, "cpu", PATIENT, confine=False) as host:
         assert not host.privileged
         assert reasons(host.act(make_batch(1), (situation,))) == ["died"]
         (answer,) = host.act(make_batch(1), (situation,))
         assert isinstance(answer, PolicyFault) and answer.reason == "restart"
-        assert "`privileged` True, at first it had `privileged` False" in answer.detail
+        assert "`privileged` True, at first it had False" in answer.detail
         assert not host.privileged
 
 
@@ -196,11 +224,19 @@ def test_the_numbers_of_questions_do_not_count(tmp_path: Path) -> None:
     assert {after - before for before, after in pairwise(numbers)} != {1}
 
 
+def hosting(spec: PolicySpec, limits: PolicyLimits) -> Backend:
+    """The fake world, and a policy in its real process."""
+    return fake_backend(
+        open_policy=lambda *given: PolicyHost(spec, None, "cpu", limits),
+        policy_digest=lambda *given: digest(spec, None),
+    )
+
+
 def test_a_run_survives_and_counts(fake_home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from evaluator.runner import run_evaluation
 
     limits = PolicyLimits(start_s=60, batch_s=10, single_s=5)
-    backend = fake_backend(open_policy=lambda *given: PolicyHost(policy("Erratic"), None, "cpu", limits))
+    backend = hosting(policy("Erratic"), limits)
     config = fake_config(fake_home / "run", episodes=64, engine="inline")
     summary = run_evaluation(config, backend=backend).summary
     assert summary["episodes"] == summary["eligible"] == 64
@@ -214,7 +250,7 @@ def test_a_run_of_nothing_but_faults_ends_with_each_counted(name: str, fake_home
     from evaluator.runner import run_evaluation
 
     limits = replace(SMALL, batch_s=0.2, single_s=0.2) if name == "Dawdles" else SMALL
-    backend = fake_backend(open_policy=lambda *given: PolicyHost(policy(name), None, "cpu", limits))
+    backend = hosting(policy(name), limits)
     config = fake_config(fake_home / "run", episodes=3, batch_size=1, engine="inline")
     with pytest.raises(PolicyFailureError, match="failed on 3 of 3"):
         run_evaluation(config, backend=backend)
@@ -227,10 +263,10 @@ def test_the_evaluator_reads_neither_code_nor_weights() -> None:
     code = (
         "import sys\nfrom evaluator.policy import PolicyHost, resolve\n"
         "from tests.evaluator.policy.batches import make_batch\n"
-        f"with PolicyHost(resolve({str(policy('Remembers').path)!r} + ':Remembers'), None) as host:\n"
+        f"with PolicyHost(resolve({every.place('Remembers')!r}), None) as host:\n"
         "    host.act(make_batch(1))\n"
         "bad = [name for name in sys.modules if name.split('.')[0] in ('torch', 'safetensors', 'baselines')\n"
-        "       or name.endswith('hostile')]\n"
+        "       or 'hostile' in name]\n"
         "sys.exit(str(bad) if bad else 0)"
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}

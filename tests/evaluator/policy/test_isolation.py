@@ -21,7 +21,7 @@ from evaluator.policy.sandbox.wrapper import check_sandbox, wrapped
 from rema_data.errors import InputError
 from rema_data.manifests import manifests_dir
 from tests.evaluator.policy.batches import make_batch
-from tests.evaluator.policy.conftest import WritePolicy, sandbox_is_possible
+from tests.evaluator.policy.conftest import WritePolicy, sandbox_is_possible, skip_without_sandbox
 from tests.evaluator.policy.test_host_answers import LIMITS, reasons
 
 IMPATIENT = PolicyLimits(start_s=30, batch_s=0.5)
@@ -61,8 +61,8 @@ def test_the_level_follows_from_the_restrictions(up: set[str], foreign: set[str]
 @pytest.mark.parametrize(
     ("library", "down", "word"),
     [
-        ("landlockpy", {"files", "inspection"}, "landlockpy is not installed"),
-        ("pyseccomp", {"network", "processes"}, "pyseccomp is not installed"),
+        ("landlockpy", {"files"}, "landlockpy is not installed"),
+        ("pyseccomp", {"network", "processes", "clock", "scheduling", "supervision"}, "pyseccomp is not installed"),
     ],
 )
 def test_without_a_library_its_restrictions_are_down_and_the_policy_runs(
@@ -85,6 +85,20 @@ def test_a_sandbox_that_was_not_asked_for(write_policy: WritePolicy) -> None:
         assert host.isolation.level == "L1"
         assert set(host.isolation.to_dict()["down"]) == {*KERNEL_RESTRICTIONS, "namespaces"}
         assert {"process", "memory", "disk", "descriptors"} == set(host.isolation.to_dict()["up"])
+
+
+def test_root_is_given_up(write_policy: WritePolicy) -> None:
+    """No capability stays, and not the user either where the machine's root starts a policy."""
+    spec = write_policy(
+        "print(os.getuid(), [line for line in open('/proc/self/status') if line.startswith('Cap')])\nreturn good"
+    )
+    with PolicyHost(spec, None, "cpu", LIMITS) as host:
+        skip_without_sandbox(host)
+        assert reasons(host.act(make_batch(1))) == ["ok"]
+        assert "no capabilities" in host.isolation.to_dict()["up"]["privileges"]
+    user, _, capabilities = host.output.partition(" ")
+    assert (int(user) == os.getuid()) == (os.getuid() != 0)
+    assert capabilities.count("0" * 16) >= 4
 
 
 def test_a_wrapper_that_wraps_nothing_raises_no_level() -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import psutil
 import pytest
 
-from evaluator.policy import PolicyHost, PolicySpec
+from evaluator.policy import PolicyHost, PolicySpec, digest
 from evaluator.runner import run_evaluation
 from rema_data.progress import Silent
 from tests.evaluator.fakes import fake_backend, fake_config
@@ -51,7 +51,7 @@ class Killer(Silent):
 
     def kill(self) -> None:
         for child in psutil.Process().children():
-            if any(word.endswith("kernel.py") for word in child.cmdline()):
+            if any(word.endswith("sandbox.kernel") for word in child.cmdline()):
                 child.kill()
                 self.killed.append(child.pid)
 
@@ -60,7 +60,10 @@ class Killer(Silent):
 def sealed(fake_home: Path, write_policy: WritePolicy) -> Any:
     """``sealed(name, sink)`` evaluates the slow policy into a folder, and gives what is sealed of it."""
     policy: PolicySpec = write_policy(SLOW)
-    backend = fake_backend(open_policy=lambda *given: PolicyHost(policy, None, "cpu", log=given[3]))
+    backend = fake_backend(
+        open_policy=lambda *given: PolicyHost(policy, None, "cpu", log=given[3]),
+        policy_digest=lambda *given: digest(policy, None),
+    )
 
     def evaluate(name: str, sink: Silent | None = None) -> bytes:
         config = fake_config(fake_home / name, episodes=16 * BATCHES, batch_size=16, engine="inline", audit_share=0.0)

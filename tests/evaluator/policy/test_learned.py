@@ -88,6 +88,13 @@ def test_the_learned_baseline_with_openvino(networks: Path) -> None:
         assert reasons(host.act(make_batch(2))) == ["ok", "ok"]
 
 
+@pytest.mark.skipif(find_spec("openvino") is None, reason="OpenVINO is not installed")
+def test_openvino_leaves_no_identity_behind(write_policy: WritePolicy) -> None:
+    spec = write_policy("good[:, 2] = len(os.listdir(os.environ['HOME']))\nreturn good", top="import openvino")
+    with PolicyHost(spec, None, "cpu", PATIENT) as host:
+        assert [int(answer) % 16 for answer in host.act(make_batch(1))] == [0]  # type: ignore[arg-type]
+
+
 def test_a_pickle_is_opened_as_weights_or_not_at_all(write_policy: WritePolicy, tmp_path: Path) -> None:
     """The command that is printed makes of it what can be loaded."""
     import torch
@@ -137,7 +144,7 @@ def test_the_files_that_were_meant_are_named(
         for name in files:
             Path(folder, name).write_bytes(b"")
     failure = LoadFailure("UnpicklingError: no", kinds=("_pickle.UnpicklingError",))
-    hint = load_hint(failure, "my_policy.py", "", None, None if checkpoint is None else Path(checkpoint))
+    hint = load_hint(failure, "my_policy.py", "", None if checkpoint is None else Path(checkpoint))
     commands = [line for line in hint.splitlines() if line.startswith("python -m")]
     assert commands == [f"python -m evaluator.policy.conversion {name} --trust" for name in named]
 

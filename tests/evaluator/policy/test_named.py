@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from evaluator.policy import NamedPolicy, PolicyHost, digest, find_named, kind_of, policy_names, resolve, weights_of
-from evaluator.policy.imports import own_modules
 from evaluator.policy.named import KINDS, listing
+from evaluator.policy.sandbox.snapshot import own_modules
 from rema_data.errors import InputError
 from tests.evaluator.policy.batches import make_batch
 from tests.evaluator.policy.test_host_answers import LIMITS, reasons

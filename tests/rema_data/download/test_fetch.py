@@ -97,7 +97,7 @@ def test_a_dry_run_touches_nothing(publish: Publish, machine: Path, tmp_path: Pa
     assert fetched() == before
     assert (report.files, report.present_files, report.fetched_files, report.moved_bytes) == (5, 2, 0, 0)
     rows = {row.block: (row.missing_files, row.missing_bytes, row.source) for row in report.blocks}
-    assert rows["round-1/push/train"] == (1, 1000, "half")
+    assert rows["round-1/push/train"] == (1, 1000, str(tmp_path / "half"))
     assert rows["round-1/grasp/train"] == (1, 100, server.url)
     assert rows["round-2/grasp/train"] == rows["(release)"] == (0, 0, "")
     assert json.loads(json.dumps(report.to_dict()))["dry_run"] is True
@@ -147,7 +147,7 @@ def test_a_failed_download_leaves_no_empty_folders(publish: Publish) -> None:
 def test_mirrors_of_the_manifest_come_last(publish: Publish, tmp_path: Path) -> None:
     tiny = publish(sources=[str(tmp_path / "mirror")])
     report = download("tiny", sources=["nowhere"])
-    assert report.asked == ("nowhere", str(tiny.folder)) and report.sources == {str(tiny.folder): 3}
+    assert report.asked == (str(tmp_path / "nowhere"), str(tiny.folder)) and report.sources == {str(tiny.folder): 3}
 
 
 def test_blocks_of_a_parent_are_fetched_once_to_its_folder(tmp_path: Path) -> None:
@@ -300,3 +300,17 @@ def test_an_interruption_ends_soon_and_keeps_what_has_arrived(publish: Publish) 
         server.faults = lambda path, count: None
         report = download("tiny", sources=[server.url])
     assert fetched() == tiny.content() and report.moved_bytes == 1_000_000
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_a_damaged_file_of_the_right_size_is_found_and_fetched_with_verify(publish: Publish, number: int) -> None:
+    tiny = publish()
+    report = download("tiny", sources=[tiny.folder])
+    entry = tiny.manifest.files[number]
+    path = report.root / entry.location
+    path.chmod(0o644)
+    path.write_bytes(bytes(entry.bytes))
+    assert download("tiny", sources=[tiny.folder]).fetched_files == 0
+    again = download("tiny", sources=[tiny.folder], verify=True)
+    assert (again.fetched_files, again.present_files) == (1, 2) and fetched() == tiny.content()
+    assert download("tiny", sources=["nowhere"], verify=True).fetched_files == 0

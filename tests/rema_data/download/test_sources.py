@@ -32,6 +32,16 @@ def test_a_path_relative_to_the_current_folder(publish: Publish) -> None:
     assert fetched() == tiny.content()
 
 
+@pytest.mark.parametrize("form", ["{}/tiny", "file://{}/tiny/"])
+def test_the_folder_of_the_release_itself(publish: Publish, form: str) -> None:
+    tiny = publish()
+    url = form.format(tiny.folder)
+    planned = download("tiny", sources=[url], dry_run=True)
+    assert {row.source for row in planned.blocks} == {url}
+    assert download("tiny", sources=[url]).sources == {url: 3}
+    assert fetched() == tiny.content()
+
+
 def test_what_fsspec_opens(publish: Publish, tmp_path: Path) -> None:
     """A store in blocks, and a chain of protocols; the second begins in the middle of a file."""
     tiny = publish(sizes={f"{BLOCK}/steps.parquet": 5_000_000})

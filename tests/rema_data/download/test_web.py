@@ -196,3 +196,31 @@ def test_a_chain_over_the_web_without_its_package(publish: Publish, monkeypatch:
     with pytest.raises(InputError, match="needs a package") as caught:
         download("tiny", sources=["zip://::https://host/all.zip"])
     assert caught.value.hint == 'pip install "fsspec[http]"'
+
+
+@pytest.mark.parametrize("scheme", ["http", "https"])
+def test_a_dead_proxy_is_named_and_the_mirror_is_not_blamed(
+    publish: Publish, monkeypatch: pytest.MonkeyPatch, scheme: str
+) -> None:
+    publish()
+    monkeypatch.setenv(f"{scheme}_proxy", "http://me:secret@127.0.0.1:9")
+    with pytest.raises(MissingFileError) as caught:
+        download("tiny", sources=[f"{scheme}://far.invalid/data"])
+    said = str(caught.value)
+    assert f"the proxy http://127.0.0.1:9 ({scheme}_proxy) cannot be used: Connection refused" in said
+    assert f"correct or unset {scheme}_proxy" in said and "secret" not in said
+
+
+def test_a_proxy_that_lets_nobody_through(publish: Publish, monkeypatch: pytest.MonkeyPatch) -> None:
+    publish()
+    with web(lambda path, headers: (407, {}, b"")) as proxy:
+        monkeypatch.setenv("https_proxy", proxy.url)
+        with pytest.raises(MissingFileError, match=r"the proxy http://127.0.0.1:\d+ \(https_proxy\) cannot be used"):
+            download("tiny", sources=["https://far.invalid/data"])
+
+
+def test_a_source_one_folder_too_deep(publish: Publish) -> None:
+    tiny = publish()
+    with serve(tiny.folder) as server:
+        assert download("tiny", sources=[f"{server.url}/tiny/"]).sources == {f"{server.url}/tiny/": 3}
+    assert fetched() == tiny.content()

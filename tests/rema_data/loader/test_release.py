@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -153,3 +154,31 @@ def test_opening_a_decoded_release_needs_neither_torch_nor_pandas(small: Release
     )
     run = subprocess.run([sys.executable, "-c", code, str(small.path)], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == ""
+
+
+@pytest.mark.parametrize("rounds", [1, np.int64(1), [1], (np.int16(1),), np.array([1]), range(1, 2), {1}])
+def test_rounds_in_any_form(release: rema_data.Release, rounds: Any) -> None:
+    assert release.steps(rounds=rounds).fingerprint == release.steps(rounds=[1]).fingerprint
+
+
+@pytest.mark.parametrize("split", ["train", ["train"], ("train",), np.array(["train"]), np.str_("train")])
+def test_splits_in_any_form(release: rema_data.Release, split: Any) -> None:
+    assert release.steps(split=split).fingerprint == release.steps(split="train").fingerprint
+    assert release.steps(split=["val", "train"]).fingerprint == release.steps().fingerprint
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"rounds": True},
+        {"rounds": 1.0},
+        {"rounds": "1"},
+        {"rounds": [[1]]},
+        {"split": 1},
+        {"split": [["train"]]},
+        {"tasks": 5},
+    ],
+)
+def test_selections_of_the_wrong_kind_are_refused(release: rema_data.Release, wrong: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=f"^{next(iter(wrong))}=.* is not a "):
+        release.steps(**wrong)

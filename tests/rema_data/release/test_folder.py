@@ -84,9 +84,23 @@ def test_a_folder_that_is_no_release(places: Path) -> None:
 
 def test_a_folder_under_another_name(places: Path, tiny: ReleaseFolder) -> None:
     shutil.copytree(tiny.path, places / "other")
-    with pytest.raises(InputError, match="holds the release tiny") as caught:
-        find_release(places / "other")
-    assert "tiny" in caught.value.hint
+    found = find_release(places / "other")
+    assert (found.path, found.manifest) == (places / "other", tiny.manifest)
+    assert found.blocks() == tiny.blocks()
+    victim = found.file(next(file for file in found.manifest.files if file.block is not None))
+    victim.chmod(0o644)
+    victim.write_bytes(b"")
+    assert victim.is_relative_to(places / "other") and len(found.blocks()) == len(tiny.blocks()) - 1
+    assert "copy it again" in found.repair.at(victim) and f"rema verify {places / 'other'}" in found.repair.at(victim)
+
+
+def test_a_copy_under_another_name_finds_the_blocks_of_its_parent(places: Path, tiny: ReleaseFolder) -> None:
+    parent = copied(tiny, places)
+    key = BlockKey(1, "grasp_push", "train")
+    child = make_release(places, "child", tasks=("push",), episodes=5, parent=parent.manifest, reused=(key,))
+    child.path.rename(places / "renamed")
+    found = find_release(places / "renamed")
+    assert key in {block.key for block in found.blocks()} and len(found.blocks()) == len(child.manifest.blocks)
 
 
 def test_a_damaged_manifest_beside_the_data(places: Path, tiny: ReleaseFolder) -> None:

@@ -94,7 +94,7 @@ def test_average_mode_follows_the_shares() -> None:
 
 def test_orders_of_a_small_stratum_are_equally_likely() -> None:
     sampler = BalancedSampler({"task": np.zeros(4, int)}, 4, by="task", num_samples=4 * 4800)
-    orders = Counter(tuple(batch.tolist()) for batch in sampler)
+    orders = Counter(tuple(batch) for batch in sampler)
     assert len(orders) == 24
     assert stats.chisquare(list(orders.values())).pvalue > 0.001
 
@@ -143,7 +143,7 @@ def test_ranks_share_one_global_batch(mode: Any) -> None:
         dealt = [epochs(sampler, 2) for sampler in ranks]
         for number, batch in enumerate(alone):
             parts = [batches[number] for batches in dealt]
-            assert sorted(rows_of(parts).tolist()) == sorted(batch.tolist())
+            assert sorted(rows_of(parts).tolist()) == sorted(batch)
             if mode == "exact":
                 counts = np.stack([np.bincount(code_of(ranks[0], part), minlength=8) for part in parts])
                 assert np.ptp(counts, axis=0).max() <= 1
