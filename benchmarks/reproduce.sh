@@ -70,6 +70,8 @@ python benchmarks/half_precision.py --checkpoint releases/checkpoints/rema-v0/jo
 python benchmarks/isolation.py --run runs/random-grasp-conditional --json $results/isolation.json
 python benchmarks/hostile.py --json $results/hostile.json
 python benchmarks/kills.py --json $results/kills.json
+python benchmarks/forgeries.py --json $results/forgeries.json
+python benchmarks/verify_entry.py --check --json $results/verify_entry.json
 python benchmarks/mutations.py --json $results/mutations.json
 python benchmarks/signals.py --json $results/signals.json
 python benchmarks/coverage.py --json $results/coverage.json

@@ -136,7 +136,7 @@ def test_bad_runs(write: Write, tmp_path: Path) -> None:
         del header["seal"]
         (unsealed / "run.json").write_text(json.dumps(header))
         result = board(unsealed)
-        assert result.exit_code == 2 and "is not the summary of a run" in result.stderr
+        assert result.exit_code == 2 and "unsealed is not sealed" in result.stderr
         shutil.rmtree(unsealed)
     odd = reseal(write("odd", solved(0.5, 1)), protocol_hash=3, policy="\x1b[2J", task="fly")
     result = board(odd)
