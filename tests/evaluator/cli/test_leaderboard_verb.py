@@ -52,7 +52,7 @@ def test_the_table(write: Write) -> None:
 
 @pytest.mark.parametrize("columns", [60, 80, 100])
 def test_narrow_terminals_keep_every_cell_whole(write: Write, monkeypatch: pytest.MonkeyPatch, columns: int) -> None:
-    monkeypatch.setattr("evaluator.cli.board.terminal_width", lambda: columns)
+    monkeypatch.setattr("evaluator.cli.output.terminal_width", lambda: columns)
     mine = solved(0.7, 2)
     result = board(write("my_policy", mine), write("a_policy_with_a_long_name", solved(0.4, 3)))
     row = next(line for line in result.stdout.splitlines() if "my_policy" in line)
