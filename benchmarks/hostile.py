@@ -13,6 +13,7 @@ import logging
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
@@ -20,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from rich.markup import escape
 from rich.table import Table
 
-from benchmarks.results import finish, parser, target
+from benchmarks.results import ROOT, finish, parser, target
 from evaluator.policy import PolicyHost, resolve
 from tests.evaluator.policy.hostile import every
 from tests.evaluator.policy.hostile.verdicts import verdict
@@ -42,7 +43,8 @@ def main() -> int:
     for name in arguments.names or every.POLICIES:
         began = time.perf_counter()
         with tempfile.TemporaryDirectory() as folder:
-            found[name] = one = verdict(name, Path(folder))
+            one = verdict(name, Path(folder))
+        found[name] = one = replace(one, found=one.found.replace(f"{ROOT}/", ""))
         kind = every.POLICIES[name].__module__.rpartition(".")[2]
         seconds = time.perf_counter() - began
         said = escape(one.found if len(one.found) <= _SHOWN else f"{one.found[:_SHOWN]}...")

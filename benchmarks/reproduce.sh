@@ -68,8 +68,12 @@ python benchmarks/infer.py --checkpoint releases/checkpoints/rema-v0/joint --run
 python benchmarks/half_precision.py --checkpoint releases/checkpoints/rema-v0/joint --scenarios 250 --json $results/half_precision.json
 
 python benchmarks/isolation.py --run runs/random-grasp-conditional --json $results/isolation.json
+python benchmarks/hostile.py --json $results/hostile.json
 python benchmarks/kills.py --json $results/kills.json
+python benchmarks/forgeries.py --json $results/forgeries.json
+python benchmarks/verify_entry.py --check --json $results/verify_entry.json
 python benchmarks/mutations.py --json $results/mutations.json
+python benchmarks/signals.py --json $results/signals.json
 python benchmarks/coverage.py --json $results/coverage.json
 python benchmarks/report_page.py --run runs/random-grasp-conditional --json $results/report_page.json # with Chromium
 python benchmarks/scaling.py --json $results/scaling.json

@@ -68,7 +68,7 @@ def evaluate(
     sandbox : str, optional
         Wrapper of the policy's process, such as bwrap: see docs/threat_model.md.
     quick : str or Path, optional
-        A run folder: stop as soon as the policy is better or worse than that run. Such a run has no rank.
+        A run folder or an entry: stop as soon as the policy is better or worse than that run. Such a run has no rank.
     progress : Progress, optional
 
     Returns
@@ -120,7 +120,7 @@ def evaluate(
         raise InputError("--quick plays the list in its order", hint="drop --quick or --shard")
     from evaluator.runner.quick import quick_evaluation
 
-    return quick_evaluation(config, Path(quick), progress)
+    return quick_evaluation(config, Path(quick), progress, read=lambda path: read_run(path, progress=progress))
 
 
 def read_run(path: str | Path, *, progress: Progress | None = None) -> Run:

@@ -16,7 +16,6 @@ import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from types import FrameType
@@ -24,7 +23,7 @@ from typing import Any, NoReturn
 
 __all__ = ["GRACE_S", "POLL_S", "Interrupted", "check", "held", "leave", "listen", "listening", "requested"]
 
-GRACE_S = 4.0
+GRACE_S = 3.0
 """So long a process has to end by itself after the first signal."""
 POLL_S = 0.1
 """How long a wait for something outside of this process may be, before the flag is looked at again."""
@@ -45,15 +44,14 @@ class _Listener:
 
     def __init__(self, signals: Sequence[int], grace_s: float | None) -> None:
         self.number: int | None = None
-        self._grace_s = grace_s
         self._done = threading.Event()
-        kinds = [kind for kind in signals if signal.getsignal(kind) is not signal.SIG_IGN]  # nohup stays nohup
+        kinds = [kind for kind in signals if signal.getsignal(kind) not in (signal.SIG_IGN, None)]  # nohup stays nohup
         self._before: dict[int, Any] = {kind: signal.signal(kind, self._handle) for kind in kinds}
         self._wakeup: int | None = None
-        if grace_s is not None:
-            self._watch()
+        if grace_s is not None and os.name == "posix":
+            self._watch(grace_s)
 
-    def _watch(self) -> None:
+    def _watch(self, grace_s: float) -> None:
         """Have a thread told of signals too: Python calls no handler while the main thread is in foreign code."""
         reader, self._wakeup = os.pipe()
         os.set_blocking(self._wakeup, False)
@@ -63,24 +61,21 @@ class _Listener:
             while data := os.read(reader, 64):
                 for number in data:
                     if number in self._before:
-                        self.request(number)
+                        self._request(number)
+                        self._end_late(grace_s)
             os.close(reader)
 
         threading.Thread(target=watch, name="rema signals", daemon=True).start()
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
-        self.request(number)
+        self._request(number)  # nothing else: it runs between any two instructions of the main thread
 
-    def request(self, number: int) -> None:
-        if self.number is not None:
-            return
-        self.number = number
-        if self._grace_s is not None:
-            threading.Thread(target=self._end_late, args=(self._grace_s,), name="rema grace", daemon=True).start()
+    def _request(self, number: int) -> None:
+        if self.number is None:
+            self.number = number
 
     def _end_late(self, grace_s: float) -> None:
-        deadline = time.monotonic() + grace_s
-        if self._done.wait(max(0.0, deadline - time.monotonic())) or self.number is None:
+        if self._done.wait(grace_s) or self.number is None:
             return
         with suppress(OSError):
             os.write(2, _FAREWELL)

@@ -18,7 +18,7 @@ from baselines.rounds.work import Chunk
 from evaluator.engines import Engine, InfraError, Job, JobBatch, JobResult
 from evaluator.policy import PolicyFault
 from evaluator.rollout.ask import actions, ask
-from evaluator.rollout.backend import Backend, PolicyProcess
+from evaluator.rollout.backend import Backend, PolicyProcess, check_digest
 from evaluator.rollout.episode import first_step, next_step
 from evaluator.run.plan import job_batches
 from evaluator.sim.spawn import collection_generator, draw_episode
@@ -66,8 +66,11 @@ class BehaviourPolicies:
         """Start every policy that some blocks need; raises SubmissionError at once where one cannot be loaded."""
         for use in dict.fromkeys(use for block in blocks for use in self._uses[block]):
             log = self._logs / f"policy-{use.spec.name}-{self.digests[use][:8]}.log"
-            process = self._backend.open_policy(use.spec, use.checkpoint, use.device, log, None)
-            self._running[use] = _Behaviour(use.spec.name, self.digests[use], self._stack.enter_context(process))
+            process = self._stack.enter_context(
+                self._backend.open_policy(use.spec, use.checkpoint, use.device, log, None)
+            )
+            check_digest(process, use.spec.name, self.digests[use])
+            self._running[use] = _Behaviour(use.spec.name, self.digests[use], process)
 
     def of(self, block: BlockKey, step: int) -> _Behaviour:
         """The policy that plays a step of a block."""

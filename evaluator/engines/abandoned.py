@@ -22,7 +22,7 @@ _LIBRARY = "pybullet"
 
 def remove_models() -> None:
     """Remove the models of this user that no simulating process can have made: none is as old as the folder."""
-    if not hasattr(psutil.Process, "memory_maps"):
+    if not hasattr(psutil.Process, "memory_maps") or not hasattr(os, "getuid"):
         return
     found: list[tuple[Path, float]] = []
     with suppress(OSError), os.scandir(tempfile.gettempdir()) as entries:

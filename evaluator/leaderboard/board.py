@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from evaluator.run.reading import read_run
 from evaluator.run.run import Run
 from evaluator.sim.bullet import decisive
 from evaluator.statistics import detectable_difference
-from rema_data.errors import RemaError
+from rema_data.errors import RemaError, RunMismatchError
 from rema_data.progress import Progress
 from rema_data.schema import TASKS
 
@@ -57,7 +58,12 @@ def leaderboard(
     """
 
     def settled(run: Run) -> Run:
-        return verify(run, progress, backend=backend, engine=engine) if simulate else run
+        if not simulate:
+            return run
+        try:
+            return verify(run, progress, backend=backend, engine=engine)
+        except RunMismatchError:
+            return run  # of another list or protocol: it has no rank in any case
 
     read, refused = _read(sources, settled, backend)
     runs, copies = once(in_order(read, records()))
@@ -149,6 +155,11 @@ def _remarks(rows: Sequence[Row], pairs: Sequence[Pair]) -> Iterator[str]:
     for row in rows:
         if row.unranked and row.tag != PUBLISHED and not (apart(row) and row.unranked.endswith(NOT_SIMULATED)):
             yield f"{row.policy} ({row.task}, {row.protocol}) has no rank: {row.unranked}."
+    for (task, protocol, policy), count in Counter(
+        (row.task, row.protocol, row.policy) for row in rows if row.verified
+    ).items():
+        if count > 1:
+            yield f"{count} rows of {task} ({protocol}) are called {policy}: they have different actions."
     for task, protocol in dict.fromkeys((row.task, row.protocol) for row in rows):
         ranked = [row for row in rows if (row.task, row.protocol) == (task, protocol) and not row.unranked]
         marks = [decisive(json.loads(row.fingerprint or "{}")) for row in ranked]

@@ -28,7 +28,9 @@ def name_problem(run: Run, name: str = "") -> str:
         return ""  # of format 1: it has no rank in any case
     if shown in policy_names():
         return _installed_problem(run, shown)
-    taken = {*policy_names(), *published_table()["success_percent"], *TAGS}
+    taken = {*policy_names()}
+    if run.kind == "entry" or name:  # a local joint.py may be called joint: its tag says that it is not the paper's
+        taken |= {*published_table()["success_percent"], *TAGS}
     if is_reserved(shown) or shown.casefold() in {one.casefold() for one in taken}:
         return f"{shown!r} is, or looks like, the name of an installed policy, a published one or a kind of policy"
     if run.kind == "entry" and run.tag not in _OPEN:

@@ -103,7 +103,7 @@ def make_entry(inspection: Inspection, name: str = "", link: str = "", *, simula
     if problem := name_problem(run, shown):
         raise SubmissionError(problem, hint="choose another name with --name", name=shown)
     address: str = validated(Link, link, "--link", hint=hint)  # type: ignore[arg-type]
-    kind = "simulator" if simulator else dataclasses.replace(run, policy=shown).tag
+    kind = "simulator" if simulator else dataclasses.replace(run, policy=shown).tag  # or as its class says
     return dataclasses.replace(run, policy=shown, link=address, kind_of_policy=kind)
 
 

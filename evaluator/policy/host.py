@@ -21,14 +21,15 @@ from evaluator.policy.load_errors import LoadFailure, load_hint
 from evaluator.policy.loading import PolicySpec, check_checkpoint
 from evaluator.policy.output import CappedOutput, printable
 from evaluator.policy.process import ChildFailure, ChildProcess
-from evaluator.policy.sandbox.isolation import Isolation, isolation_of
-from evaluator.policy.sandbox.launch_spec import LaunchSpec, runs_beside, unused_user
+from evaluator.policy.sandbox.isolation import Isolation
+from evaluator.policy.sandbox.launch_spec import LaunchSpec, runs_beside
 from evaluator.policy.sandbox.limits import PolicyLimits
 from evaluator.policy.sandbox.private_copy import PrivateCopy
 from evaluator.policy.sandbox.snapshot import Snapshot
 from evaluator.policy.sandbox.wrapper import check_sandbox
 from evaluator.policy.sandbox_hints import Cause, Surroundings, sandbox_hint
-from evaluator.policy.wire import REPLIES, TAGS, Frame, batch_frame, frame_parts
+from evaluator.policy.starting import CannotStart, Started, WrapperFailed, confine, load
+from evaluator.policy.wire import REPLIES, Frame, batch_frame
 from rema_data import grid
 from rema_data.errors import InputError, SubmissionError
 from rema_data.schema import Situation
@@ -68,18 +69,18 @@ class PolicyHost:
         sandbox: str | None = None,
     ) -> None:
         self.spec = spec
-        self._checkpoint = check_checkpoint(checkpoint)
+        self._checkpoint = checkpoint if spec.copy is not None else check_checkpoint(checkpoint)
         self._device = device
         self._limits = limits or PolicyLimits()
         self._log = log
         self._run = log.parent if run is None and log is not None else run
         self._confined, self._sandbox = confine, sandbox
         check_sandbox(sandbox)
-        self._copy: PrivateCopy | None = None
+        self._own_copy: PrivateCopy | None = None
         self._output = CappedOutput(log, self._limits.log_head_bytes, self._limits.log_tail_bytes)
         self._child: ChildProcess | None = None
         self._isolation: Isolation | None = None
-        self._tags: dict[str, bool] = {}
+        self._started: Started | None = None  # by the first process
         self._asked = 0  # observations
         self._waited_s = 0.0  # for processes that are gone
         self._overdrawn: PolicyFault | None = None
@@ -90,12 +91,12 @@ class PolicyHost:
     @property
     def privileged(self) -> bool:
         """Whether the policy is shown the ground truth; known after entering."""
-        return self._tags.get("privileged", False)
+        return self._started is not None and self._started.tags["privileged"]
 
     @property
     def simulator(self) -> bool:
         """Whether the policy says that it carries a simulator or the scenario lists; known after entering."""
-        return self._tags.get("simulator", False)
+        return self._started is not None and self._started.tags["simulator"]
 
     @property
     def isolation(self) -> Isolation:
@@ -125,9 +126,14 @@ class PolicyHost:
         return self._snapshot.digest
 
     @property
-    def _snapshot(self) -> Snapshot:
-        if self._copy is None:
+    def _copy(self) -> PrivateCopy:
+        copy = self.spec.copy or self._own_copy
+        if copy is None:
             raise InputError("a policy is copied when its host is entered", hint="enter the host first")
+        return copy
+
+    @property
+    def _snapshot(self) -> Snapshot:
         return self._copy.snapshot
 
     def __enter__(self) -> Self:
@@ -266,56 +272,28 @@ class PolicyHost:
         return self._overdrawn
 
     def _take(self) -> None:
-        """Make the copy that every process of this host runs from."""
-        runs, user = runs_beside(self._run), unused_user() if self._confined else None
-        self._copy = PrivateCopy(self.spec, self._checkpoint, runs, user)
-        self._launch = LaunchSpec(self._copy.snapshot, self._limits, runs, self._confined, user, self._sandbox)
+        """Make the copy that every process of this host runs from, unless one is held for it."""
+        runs = runs_beside(self._run)
+        if self.spec.copy is None:
+            self._own_copy = PrivateCopy(self.spec, self._checkpoint, runs)
+        user = self._copy.user if self._confined else None
+        self._launch = LaunchSpec(self._snapshot, self._limits, runs, self._confined, user, self._sandbox)
 
     def _start(self) -> None:
-        limit_s = self._limits.start_s
-        copy = self._snapshot
         self._child = ChildProcess(self._output, self._launch)
-        load: dict[str, Any] = {
-            "op": "load",
-            "path": str(copy.policy),
-            "import_root": None if copy.import_root is None else str(copy.import_root),
-            "class_name": self.spec.class_name,
-            "checkpoint": None if copy.checkpoint is None else str(copy.checkpoint),
-            "device": self._device,
-        }
         try:
-            self._confine(self._child)
-            header, _ = self._child.ask(frame_parts(load), limit_s - self._child.waited_s, 0)
-        except ChildFailure as failure:
-            late = failure.reason == FaultReason.TIMEOUT
-            why = f"did not start within {limit_s:g} s" if late else f"{failure} while it started"
-            raise self._error(LoadFailure(why)) from None
-        if header.get("ok") is not True:
-            raise self._error(LoadFailure.of(header))
-        tags = {tag: header.get(tag) is True for tag in TAGS}
-        for tag, was in self._tags.items():
-            if tags[tag] != was:
-                # What the run says of the policy was taken from its first process.
-                raise self._error(LoadFailure(f"started again it has `{tag}` {tags[tag]}, at first it had {was}"))
-        self._tags = tags
-
-    def _confine(self, child: ChildProcess) -> None:
-        """Restrict the process, before anything of the policy is read."""
-        sandbox = self._sandbox
-        try:
-            report, _ = child.ask(frame_parts(self._launch.orders(child.folder)), self._limits.start_s, 0)
-        except ChildFailure as failure:
-            if sandbox is None:
-                raise
+            self._isolation = confine(self._child, self._launch)
+            found = Started(self._isolation, load(self._child, self._launch, self.spec.class_name, self._device))
+            found.check(self._started)
+        except WrapperFailed as failure:
             self._drop()
             raise InputError(
-                f"Python did not start in --sandbox {sandbox!r}: {failure}",
+                f"Python did not start in --sandbox {self._sandbox!r}: {failure}",
                 hint=f"{printable(self.output).strip()}\nlet it see the folders of Python and of rema",
             ) from None
-        found = isolation_of(report, sandbox)
-        if self._isolation not in (None, found):
-            raise self._error(LoadFailure(f"its sandbox is not the one of its first process: {found}"))
-        self._isolation = found
+        except CannotStart as error:
+            raise self._error(error.failure) from None
+        self._started = self._started or found
 
     def _error(self, failure: LoadFailure) -> SubmissionError:
         around = self._surroundings()
@@ -342,9 +320,9 @@ class PolicyHost:
             self._child.close()
             self._child = None
         self._output.settle()
-        if self._copy is not None:
-            self._copy.remove()
-            self._copy = None
+        if self._own_copy is not None:
+            self._own_copy.remove()
+            self._own_copy = None
 
 
 def _answered(reply: Frame) -> bool:

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from evaluator.policy.named import NamedPolicy, find_named, is_reserved, listing
 from evaluator.policy.shipped import shipped_checkpoint
 from rema_data.errors import InputError, MissingFileError
+
+if TYPE_CHECKING:
+    from evaluator.policy.sandbox.private_copy import PrivateCopy
 
 __all__ = ["NAME_LENGTH", "PolicySpec", "check_checkpoint", "resolve", "weights_of"]
 
@@ -26,6 +30,8 @@ class PolicySpec:
     path: Path  # the Python file, absolute
     class_name: str
     named: NamedPolicy | None = None  # what its package says of it; None for a file
+    # what runs in its place, for as long as it is held; None: a new copy for every host
+    copy: PrivateCopy | None = field(default=None, compare=False, repr=False)
 
 
 def resolve(reference: str) -> PolicySpec:

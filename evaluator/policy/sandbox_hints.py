@@ -146,7 +146,7 @@ def _missing(text: str, around: Surroundings) -> str:
             )
         return ""
     if path.is_relative_to(around.temporary):
-        home = Path.home() / path.relative_to(around.temporary)
+        home = Path(os.path.expanduser("~")) / path.relative_to(around.temporary)
         if home.exists():
             return f"rule files: HOME is an empty folder: name {home} with --checkpoint"
         return ""

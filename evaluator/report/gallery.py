@@ -14,6 +14,7 @@ from evaluator.render.words import FAILURES, measured_text, touching_text
 from evaluator.report.scores import Scored
 from evaluator.report.selection import Chosen
 from evaluator.run.run import Row, Run
+from rema_data.interrupts import check
 from rema_data.pictures import action_text
 from rema_data.progress import Progress
 from rema_data.schema import TASKS, Action, Failure, Scenario
@@ -55,6 +56,7 @@ def make_cards(run: Run, scenarios: Sequence[Scenario], chosen: Sequence[Chosen]
                 take = _played_again(films, run, scenarios[one.row["index"]], one.row)
                 cards.append(_card(run, one, take, photograph(studio, take)))
             progress.advance(1)
+            check()
     return cards
 
 

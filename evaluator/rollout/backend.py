@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
@@ -15,12 +15,13 @@ from evaluator.engines import FINGERPRINT, SIMULATOR
 from evaluator.engines.abandoned import remove_models
 from evaluator.run.environment import source_digest
 from evaluator.sim.bullet import require_bullet
+from rema_data.errors import RunMismatchError
 from rema_data.schema import Observation, Situation
 
 if TYPE_CHECKING:
     from evaluator.policy import Answer, ObservationBatch, PolicySpec
 
-__all__ = ["Backend", "PolicyProcess", "default_backend"]
+__all__ = ["Backend", "PolicyProcess", "check_digest", "default_backend"]
 
 
 class PolicyProcess(Protocol):
@@ -30,6 +31,11 @@ class PolicyProcess(Protocol):
     def privileged(self) -> bool: ...
 
     def act(self, batch: ObservationBatch, situations: tuple[Situation, ...] | None) -> list[Answer]: ...
+
+
+def _as_it_will_be(policy: PolicySpec, checkpoint: Path | None, run: Path) -> AbstractContextManager[PolicySpec]:
+    """No copy: every process takes its own."""
+    return nullcontext(policy)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +52,19 @@ class Backend:
     policy_digest: Callable[[PolicySpec, Path | None], str]
     # (policy, checkpoint, device, log file, sandbox command or None) to the policy's process
     open_policy: Callable[[PolicySpec, Path | None, str, Path, str | None], AbstractContextManager[PolicyProcess]]
+    # (policy, checkpoint, folder of the run) to the policy as it is now, for all processes of the run
+    hold_policy: Callable[[PolicySpec, Path | None, Path], AbstractContextManager[PolicySpec]] = _as_it_will_be
+
+
+def check_digest(policy: PolicyProcess, name: str, recorded: str) -> None:
+    """Raise RunMismatchError where what runs is not the policy whose digest was ``recorded``: a file was changed."""
+    if getattr(policy, "digest", recorded) != recorded:
+        raise RunMismatchError(
+            f"policy {name} is not the one that was recorded: its code or its weights changed",
+            hint="leave its folder and its weights alone while it is in use; to use what is there now, begin in a new "
+            "folder (--output)",
+            policy=name,
+        )
 
 
 def default_backend() -> Backend:
@@ -53,6 +72,7 @@ def default_backend() -> Backend:
     require_bullet()
     remove_models()
     from evaluator.policy import PolicyHost, digest
+    from evaluator.policy.sandbox.private_copy import held
     from evaluator.protocol import protocol_hash
     from evaluator.sim import DECIDES
     from evaluator.sim.observation import observe
@@ -73,4 +93,5 @@ def default_backend() -> Backend:
         protocol_hash=protocol_hash,
         policy_digest=digest,
         open_policy=open_policy,
+        hold_policy=held,
     )

@@ -9,7 +9,7 @@ from pathlib import Path
 from evaluator.engines import InfraError, Job, make_engine
 from evaluator.policy import PolicyFault, PolicySpec
 from evaluator.rollout.ask import actions, ask
-from evaluator.rollout.backend import Backend, default_backend
+from evaluator.rollout.backend import Backend, check_digest, default_backend
 from evaluator.run.plan import job_batches
 from evaluator.scenarios.policy_picks import Picker
 from rema_data.errors import InfrastructureError, PolicyFailureError
@@ -54,4 +54,6 @@ def open_picker(
                 outcomes[result.key] = result.outcome
             return [outcomes[n] for n in range(len(situations))]
 
-        yield Picker(spec.name, world.policy_digest(spec, checkpoint), carry_out)
+        recorded = world.policy_digest(spec, checkpoint)
+        check_digest(policy, spec.name, recorded)
+        yield Picker(spec.name, recorded, carry_out)

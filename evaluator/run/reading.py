@@ -17,6 +17,9 @@ from rema_data.errors import MissingFileError
 
 __all__ = ["read_run"]
 
+_WITHOUT_SEAL = 2
+"""The last format of which there are finished runs without a seal."""
+
 
 def read_run(path: Path, *, with_findings: bool = False) -> Run:
     """A run, from its folder or from its entry; see ``evaluator.read_run``.
@@ -33,10 +36,11 @@ def read_run(path: Path, *, with_findings: bool = False) -> Run:
         hint = "give the run folder of a `rema evaluate`" if path.is_dir() else "check the path"
         raise MissingFileError(f"{path} holds no finished run", hint=hint, path=str(path))
     header, payload = read_header(path)
-    if with_findings and "seal" not in header:
+    summed = (path / SUMMARY_FILE).is_file()
+    if "seal" not in header and (with_findings or (summed and header["format"] > _WITHOUT_SEAL)):
         _refuse_unsealed(path, header)
     if not with_findings:
-        if not (path / SUMMARY_FILE).is_file():
+        if not summed:
             hint = f"finish it: {resume_command(header, path)}"
             raise MissingFileError(f"{path} holds no finished run: it has no {SUMMARY_FILE}", hint=hint, path=str(path))
         for name in sealed_names(header) if "seal" in header else [results_name(header)]:
@@ -69,6 +73,7 @@ def _run(folder: Path, files: RunFiles) -> Run:
         source=folder,
         policy=policy.get("name", ""),
         privileged=policy.get("privileged", False),
+        kind_of_policy="simulator" if policy.get("simulator") else "",
         task=identity["task"],
         split=identity["split"],
         protocol=identity["protocol"],

@@ -70,7 +70,8 @@ class Run:
     nondeterministic: int = 0  # steps that had two different outcomes
     isolation: str = ""  # lowest level of the policy's sandbox; empty where it was not recorded
     link: str = ""  # where to read about the policy; empty for run folders
-    kind_of_policy: str = ""  # what an entry says its policy is; empty for run folders and entries of format 1
+    # what an entry, or the class of the policy, says it is; empty for other run folders and entries of format 1
+    kind_of_policy: str = ""
     digest: str = ""  # sha256 of an entry
     # how it is known that the actions give these outcomes: ``here`` (simulated on this machine) or ``record`` (one that
     # comes with rema); empty where nobody knows

@@ -6,7 +6,7 @@ tests (``evaluator.statistics.sequential``). Such a run has no rank; evaluated a
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from evaluator.protocol import FIRST_LOOK
 from evaluator.rollout.backend import Backend, default_backend
 from evaluator.run.header import RUN_FILE, read_header
 from evaluator.run.reading import read_run
+from evaluator.run.run import Run
 from evaluator.run.seal import SUMMARY_FILE
 from evaluator.runner.config import EvaluationConfig, EvaluationResult
 from evaluator.runner.run import run_evaluation
@@ -34,17 +35,18 @@ def quick_evaluation(
     progress: Progress | None = None,
     *,
     backend: Backend | None = None,
+    read: Callable[[Path], Run] = read_run,
 ) -> EvaluationResult:
     """Evaluate a policy until it is better or worse than a finished run, or ``config.episodes`` are played.
 
     ``summary["stopped_early"]`` holds verdict, counts, and intervals that hold however often one tests. Nothing is
-    repeated (``audit`` is null).
+    repeated (``audit`` is null). ``read`` reads ``against``.
 
     Raises InputError where ``against`` was another evaluation or the output holds a full run, which would lose its
     rank; and what ``run_evaluation`` and ``read_run`` raise.
     """
     backend = backend or default_backend()
-    reference = read_run(against)
+    reference = read(against)
     theirs = reference.outcomes
 
     def look(rows: pa.Table) -> dict[str, Any]:

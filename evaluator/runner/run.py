@@ -6,13 +6,14 @@ import shutil
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from dataclasses import replace
 from typing import Any
 
 import pyarrow as pa
 
 from evaluator.engines import make_engine
 from evaluator.engines.child import call_in_child
-from evaluator.rollout.backend import Backend, PolicyProcess, default_backend
+from evaluator.rollout.backend import Backend, PolicyProcess, check_digest, default_backend
 from evaluator.rollout.simulate import check_infrastructure, pending_jobs, simulate_jobs
 from evaluator.run.folder import RunFolder
 from evaluator.run.plan import Plan
@@ -26,7 +27,7 @@ from evaluator.runner.finalize import remember_run, seal_run, write_tables
 from evaluator.runner.observation_cache import ObservationCache
 from evaluator.runner.questions import batches, check_faults, infer_batches, observe_batches, shuffled
 from evaluator.scenarios import ScenarioList, load_list
-from rema_data.errors import InputError, PolicyFailureError, RunMismatchError, SubmissionError
+from rema_data.errors import InputError, PolicyFailureError, SubmissionError
 from rema_data.progress import Progress, Silent
 from rema_data.schema import Situation
 from rema_data.storage import rema_home
@@ -65,18 +66,20 @@ def run_evaluation(
             hint=f"give {len(scenarios.scenarios)} or less",
             episodes=config.episodes,
         )
-    identity = {
-        "task": config.task,
-        "split": config.split,
-        "protocol": config.protocol,
-        "policy_digest": backend.policy_digest(config.policy, config.checkpoint),
-        "protocol_hash": backend.protocol_hash(config.task, config.protocol),
-        "scenarios_hash": scenarios.sha256,
-        "fingerprint": call_in_child(backend.fingerprint),
-    }
-    with RunFolder.locked(config.output, identity, config.episodes) as folder:
-        folder.set_policy(name=config.policy.name, file=config.policy.path.name, class_name=config.policy.class_name)
-        return _Run(config, progress, backend, scenarios, folder, start, look).go()
+    with backend.hold_policy(config.policy, config.checkpoint, config.output) as policy:
+        config = replace(config, policy=policy)
+        identity = {
+            "task": config.task,
+            "split": config.split,
+            "protocol": config.protocol,
+            "policy_digest": backend.policy_digest(config.policy, config.checkpoint),
+            "protocol_hash": backend.protocol_hash(config.task, config.protocol),
+            "scenarios_hash": scenarios.sha256,
+            "fingerprint": call_in_child(backend.fingerprint),
+        }
+        with RunFolder.locked(config.output, identity, config.episodes) as folder:
+            folder.set_policy(name=policy.name, file=policy.path.name, class_name=policy.class_name)
+            return _Run(config, progress, backend, scenarios, folder, start, look).go()
 
 
 class _Run:
@@ -210,14 +213,7 @@ class _Run:
         return self.backend.open_policy(config.policy, config.checkpoint, config.device, log, config.sandbox)
 
     def _note_policy(self, policy: PolicyProcess) -> None:
-        recorded = self.folder.header["identity"]["policy_digest"]
-        if getattr(policy, "digest", recorded) != recorded:  # of what runs
-            raise RunMismatchError(
-                f"policy {self.config.policy.name} is not the one of this run: its code or its weights changed",
-                hint="leave its folder and its weights alone while it is evaluated; to evaluate what is there now, "
-                "choose a new folder (--output)",
-                policy=self.config.policy.name,
-            )
+        check_digest(policy, self.config.policy.name, self.folder.header["identity"]["policy_digest"])
         for tag in ("privileged", "simulator"):
             found, known = getattr(policy, tag, False), self.folder.header["policy"].get(tag)
             if known not in (None, found):

@@ -124,4 +124,4 @@ def open_file(path: Path) -> h5py.File:
     if not h5py.is_hdf5(path):
         raise damaged(path, "it is not an HDF5 file")
     with reading(path):
-        return h5py.File(path, "r")
+        return h5py.File(path, "r", locking=False)  # nobody writes into a finished file; not every disk has locks

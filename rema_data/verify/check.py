@@ -9,6 +9,7 @@ from functools import partial
 import pyarrow as pa
 
 from rema_data.errors import IntegrityError, RemaError
+from rema_data.interrupts import check
 from rema_data.manifests import manifests_dir
 from rema_data.progress import Progress, Silent
 from rema_data.release.folder import ReleaseFolder
@@ -69,6 +70,7 @@ class _Verification:
         check_unexpected(self.release, self.findings)
         self.progress.phase("contents", sum(block.steps + 2 * block.end_effectors for block in self.blocks))
         for block in self.blocks:
+            check()
             self.check_block(block, damaged)
         frozen = self.check_scenes()
         return Report(

@@ -58,6 +58,12 @@ def test_the_shortcut_is_compared_with_simulation(tmp_path: Path) -> None:
     assert content["targets"][0]["reached"]
 
 
+@pytest.mark.benchmark
+def test_an_entry_is_verified_and_timed(tmp_path: Path) -> None:
+    content = measured(tmp_path, "verify_entry", "--episodes", "40", "--policy", "random", "--workers", "1")
+    assert content["numbers"]["verified_s"] > 0
+
+
 def test_speed_and_its_page(tmp_path: Path) -> None:
     words = ("--tasks", "grasp,push", "--episodes", "4", "--repeats", "1", "--plain", "0")
     content = measured(tmp_path, "sim_throughput", *words)
@@ -79,6 +85,12 @@ def test_memory(tmp_path: Path) -> None:
 def test_isolation_is_measured(tmp_path: Path) -> None:
     content = measured(tmp_path, "isolation", "--episodes", "64", "--distinct", "16", "--repeats", "1")
     assert content["targets"]
+
+
+def test_hostile_policies_are_tabled(tmp_path: Path) -> None:
+    content = measured(tmp_path, "hostile", "SetsClock", "Exits")
+    assert set(content["numbers"]["policies"]) == {"SetsClock", "Exits"}
+    assert all(one["counted"] for one in content["numbers"]["policies"].values())
 
 
 @pytest.mark.benchmark

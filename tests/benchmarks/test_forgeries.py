@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.forgeries import FORGERIES, judge
+from benchmarks.forged import FORGERIES
+from benchmarks.forgeries import judge
 from evaluator.engines.base import load_attribute
 from evaluator.leaderboard import copies, leaderboard
 from evaluator.protocol import protocol_hash

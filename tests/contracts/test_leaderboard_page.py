@@ -5,19 +5,31 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from benchmarks.leaderboard import END, PAGE, START, replace_section, section
 from evaluator.cli.main import VERBS, cli
+from evaluator.engines.child import call_in_child
 from evaluator.leaderboard.eligibility import obstacles
-from evaluator.leaderboard.verification import known
+from evaluator.leaderboard.verification import known, records, simulated
+from evaluator.protocol import FLIP_LIMIT
+from evaluator.rollout.backend import default_backend
+from evaluator.rollout.derive import simulate_recorded
+from evaluator.run.actions import recorded_actions
+from evaluator.run.derived import Derived
 from evaluator.run.entry import find_entries, read_entry
+from evaluator.run.plan import Plan, find_list
+from evaluator.run.tables import verdict
+from evaluator.sim.bullet import decisive
 from rema_data.errors import InputError
+from rema_data.progress import Silent
 from rema_data.schema import TASKS
 from tests.evaluator.runs import solved, use_installation, write_entry, write_run
 
 ENTRIES = Path(__file__).resolve().parents[2] / "manifests" / "leaderboard"
+SAMPLE = 5
 POLICIES = ("random", "scripted", "tae-separate", "tae-joint")
 
 
@@ -48,6 +60,58 @@ def test_the_board_has_the_four_rows_of_the_papers_table_in_every_task() -> None
         assert len(runs[key].outcomes.success) == 10_000, key
         if runs[key].recorded is not None:
             assert obstacles(runs[key]) == [] and runs[key].verified == "record", key
+
+
+def recorded() -> list[Path]:
+    """Entries that a record covers."""
+    known_entries = records()
+    return [path for path in find_entries() if read_entry(path).digest in known_entries]
+
+
+def test_every_entry_of_the_newest_format_has_a_record_and_every_record_an_entry() -> None:
+    newest = {run.digest for run in map(read_entry, find_entries()) if run.recorded is not None}
+    assert newest == records().keys()
+    assert sorted(path.name for path in (ENTRIES / "verified").glob("*.json")) == [path.name for path in recorded()]
+
+
+@pytest.mark.benchmark
+def test_every_record_is_what_its_entry_gives() -> None:
+    """On another simulator than the record's, at most 0.5 % of the labels may be others."""
+    for path in recorded():
+        entry = read_entry(path)
+        kept, found = records()[entry.digest], simulated(entry)
+        if decisive(kept.fingerprint) == decisive(found.fingerprint):
+            assert found.sha256 == kept.rows.sha256, path
+        else:
+            said = Derived.unpack(kept.rows, len(entry.actions), entry.steps, kept.fingerprint)
+            flips = sum(said.label(row) != found.label(row) for row in range(len(entry.actions)))
+            assert flips <= FLIP_LIMIT * len(entry.actions), path
+
+
+def test_a_sample_of_every_record_is_what_its_entry_gives() -> None:
+    """A few scenarios, drawn with the record, where the simulator is the record's."""
+    if not recorded():
+        pytest.skip("no entry has a record yet")
+    world = default_backend()
+    here = decisive(call_in_child(world.fingerprint))
+    for path in recorded():
+        entry = read_entry(path)
+        kept = records()[entry.digest]
+        if decisive(kept.fingerprint) != here:
+            continue
+        said = Derived.unpack(kept.rows, len(entry.actions), entry.steps, kept.fingerprint)
+        scenarios = find_list(entry.task, entry.split, entry.provenance.scenarios_hash, len(entry.actions))
+        seed = int(kept.rows.sha256, 16)
+        rows = sorted(np.random.default_rng(seed).choice(len(entry.actions), SAMPLE, replace=False).tolist())
+        plan = Plan([scenarios.scenarios[row] for row in rows], entry.task, entry.protocol)
+        answers = recorded_actions(entry.actions, plan.steps)
+        simulate_recorded(plan, answers, world, Silent(), phase="sample", workers=1, missing_fails=True)
+        for row in rows:
+            end = verdict(row, plan.steps, answers)
+            assert said.label(row) == ("success" if end.success else str(end.failure and end.failure.value)), (
+                path,
+                row,
+            )
 
 
 def test_a_section_has_every_ranked_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -129,7 +129,7 @@ def write_run(
     verified : bool
         Whether this installation remembers that it simulated the run.
     **summary
-        Changes of ``end`` in ``run.json``, of ``privileged`` and ``isolation``; or else of the summary.
+        Changes of ``end`` in ``run.json``, of ``privileged``, ``simulator`` and ``isolation``; or else of the summary.
     """
     steps = acting_steps(task, protocol)
     passed = [success] if isinstance(success, np.ndarray) else list(success)
@@ -149,10 +149,11 @@ def write_run(
         **(identity or {}),
     }
     privileged = bool(summary.pop("privileged", False))
+    tags = {"simulator": True} if summary.pop("simulator", False) else {}
     header = {
         "format": RUN_FORMAT,
         "identity": {"task": task, "split": split, "protocol": protocol, **marks},
-        "policy": {"name": policy, "file": f"{policy}.py", "class_name": "Policy", "privileged": privileged},
+        "policy": {"name": policy, "file": f"{policy}.py", "class_name": "Policy", "privileged": privileged, **tags},
         "episodes": count,
         "salt": "5",
         "segments": [

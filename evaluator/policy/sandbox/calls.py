@@ -54,6 +54,8 @@ _DESCRIPTOR_COMMANDS = (0, 1, 2, 3, 4, 1030, 1032)
 signals, notices about folders, or larger pipes."""
 _TERMINAL_QUESTIONS = (0x5401, 0x5413, 0x541B, 0x5421, 0x5450, 0x5451)
 """Of ioctl: TCGETS, TIOCGWINSZ, FIONREAD, FIONBIO, FIONCLEX, FIOCLEX."""
+_ACCELERATOR_CALLS = ("mbind", "mlock", "mlock2", "munlock", "set_mempolicy")
+"""Where the own memory lies, which drivers of accelerators decide."""
 _ACCELERATOR_TYPES = (0x00, 0x46, 0x48, 0x4B, 0x64)
 """Second byte of the ioctl commands of NVIDIA (0x00, F), Habana (H), ROCm (K) and DRM (d)."""
 _PROCESS_QUESTIONS = (2, 3, 15, 16, 23, 30, 0x53564D41)
@@ -63,6 +65,15 @@ _SHARED, _ANONYMOUS = 0x01, 0x20
 """Flags of mmap. Memory with both counts towards no limit of a process."""
 _MISSING = ("clone3",)
 """Calls that are denied with ENOSYS: the C library then takes another one, whose arguments can be checked."""
+_NUMBERS = {
+    "clone3": 435,
+    "close_range": 436,
+    "openat2": 437,
+    "faccessat2": 439,
+    "epoll_pwait2": 441,
+    "futex_waitv": 449,
+}
+"""Of calls that an older libseccomp does not know by name; they are the same on every architecture."""
 
 
 def filter_calls(accelerators: bool) -> str:
@@ -79,6 +90,7 @@ def filter_calls(accelerators: bool) -> str:
 
     def allow(name: str, *conditions: Any, action: int = seccomp.ALLOW) -> None:
         number = int(seccomp.resolve_syscall(seccomp.Arch.NATIVE, name))
+        number = number if number >= 0 else _NUMBERS.get(name, -1)
         if number >= 0:  # this architecture has it
             calls.add_rule(action, number, *conditions)
 
@@ -86,7 +98,7 @@ def filter_calls(accelerators: bool) -> str:
         for value in values:
             allow(name, seccomp.Arg(argument, seccomp.EQ, value))
 
-    for name in _ALLOWED:
+    for name in (*_ALLOWED, *(_ACCELERATOR_CALLS if accelerators else ())):
         allow(name)
     for name in _TO_ITSELF:
         allow_values(name, 0, (own,))

@@ -53,10 +53,11 @@ def main() -> None:
     for kind in _NAMESPACES:
         with suppress(OSError):
             namespaces[kind] = os.readlink(f"/proc/self/ns/{kind}")
-    if orders["confine"]:
+    if orders["confine"] and sys.platform == "linux":
         restrictions = _confine(orders)
     else:
-        restrictions = _limit(orders["limits"]) + [(name, False, "not asked for") for name in ("privileges", *PROBES)]
+        why = f"{sys.platform} has neither Landlock nor seccomp" if orders["confine"] else "not asked for"
+        restrictions = _limit(orders["limits"]) + [(name, False, why) for name in ("privileges", *PROBES)]
     sys.argv = [""]
 
     from evaluator.policy.child import serve
@@ -78,9 +79,9 @@ def _confine(orders: dict[str, Any]) -> list[tuple[str, bool, str]]:
         if closed:
             os.chown(temporary["path"], 0, 0)
             user, kept = None, f"it stays root: another user cannot read {closed[0]}"
+    disk = mounted[1] if mounted[0] else f"measured from outside ({mounted[1]})"
     restrictions = [
-        (name, up, f"{detail}; {mounted[1]}" if name == "disk" and mounted[0] else detail)
-        for name, up, detail in _limit(orders["limits"])
+        (name, up, f"{detail}; {disk}" if name == "disk" else detail) for name, up, detail in _limit(orders["limits"])
     ]
     standing = Standing()
     dropped, how = drop_privileges(user, orders["groups"])

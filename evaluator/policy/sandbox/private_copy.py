@@ -4,24 +4,28 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 from evaluator.policy.loading import PolicySpec
 from evaluator.policy.sandbox.cleanup import CleanupShell, remove_folder
+from evaluator.policy.sandbox.launch_spec import runs_beside, unused_user
 from evaluator.policy.sandbox.snapshot import take_snapshot
 
-__all__ = ["PrivateCopy"]
+__all__ = ["PrivateCopy", "held"]
 
 
 class PrivateCopy:
     """A snapshot of a policy in a temporary folder that nobody else reads.
 
-    Without what is ``hidden``; ``user`` is who will read it, where that is not the present one. Raises what
-    ``take_snapshot`` raises.
+    Without what is ``hidden``. ``user`` is who will read it, where that is not the present one: a process of root
+    becomes another. Raises what ``take_snapshot`` raises.
     """
 
-    def __init__(self, spec: PolicySpec, checkpoint: Path | None, hidden: Iterable[Path], user: int | None) -> None:
+    def __init__(self, spec: PolicySpec, checkpoint: Path | None, hidden: Iterable[Path]) -> None:
+        self.user = unused_user()
         # Resolved: it is compared with the folders that the policy may reach.
         self._folder = Path(tempfile.mkdtemp(prefix="rema-copy-")).resolve()
         try:
@@ -31,8 +35,8 @@ class PrivateCopy:
             raise
         try:
             self.snapshot = take_snapshot(spec, checkpoint, self._folder, hidden)
-            if user is not None:
-                os.chown(self._folder, -1, user)  # a group of this number
+            if self.user is not None:
+                os.chown(self._folder, -1, self.user)  # a group of this number
                 self._folder.chmod(0o750)
         except BaseException:
             self.remove()
@@ -42,3 +46,13 @@ class PrivateCopy:
         """Remove the folder."""
         remove_folder(self._folder)
         self._cleanup.dismiss()
+
+
+@contextmanager
+def held(spec: PolicySpec, checkpoint: Path | None, run: Path) -> Iterator[PolicySpec]:
+    """The policy as it is now, for all processes of a ``run``: what changes in its folder meanwhile has no effect."""
+    copy = PrivateCopy(spec, checkpoint, runs_beside(run))
+    try:
+        yield replace(spec, copy=copy)
+    finally:
+        copy.remove()

@@ -48,7 +48,9 @@ def mount_temporary(folder: str, size: int, files: int, user: int | None, needed
     """
     library = _library()
     own, group = os.geteuid(), os.getegid()
-    if own != 0 or library.unshare(_CLONE_NEWNS) != 0:
+    if user is not None:  # in a user namespace there would be no other user to become
+        _check(library.unshare(_CLONE_NEWNS), "unshare")
+    elif own != 0 or library.unshare(_CLONE_NEWNS) != 0:
         _check(library.unshare(_CLONE_NEWUSER | _CLONE_NEWNS), "unshare")
         Path("/proc/self/setgroups").write_text("deny")
         Path("/proc/self/uid_map").write_text(f"{own} {own} 1")
@@ -135,7 +137,7 @@ def drop_privileges(user: int | None, groups: list[int]) -> tuple[bool, str]:
         return False, "it has capabilities"
     if os.geteuid() == 0 and not in_user_namespace():
         return False, "it is root"
-    return True, "no capabilities" if user is None else "an unused user, no capabilities"
+    return True, "no capabilities" if os.geteuid() != user else "an unused user, no capabilities"
 
 
 def keep_supervised() -> None:

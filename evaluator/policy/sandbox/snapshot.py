@@ -105,10 +105,12 @@ def digest(spec: PolicySpec, checkpoint: Path | None) -> str:
 
     The code is every file that the policy may read of its folder (``code_sources``); of an installed policy, the file
     and the modules of its package that it imports. A checkpoint folder counts with all its files. A process that is
-    started later runs from a copy, whose digest must be this one.
+    started later runs from a copy, whose digest must be this one. Of a policy that is held, it is that of the copy.
 
     Raises MissingFileError where code or checkpoint is missing, InputError for what cannot be read.
     """
+    if spec.copy is not None:
+        return spec.copy.snapshot.digest
     _must_exist(spec)
     weights = check_checkpoint(checkpoint)
     if spec.named is not None:

@@ -43,7 +43,9 @@ def test_a_release_in_parts(mirror: Path, tmp_path: Path) -> None:
     assert result.stdout.splitlines()[-1] == str(tmp_path / "home" / "releases" / "tiny")
     assert "download:" in result.stderr and "download:" not in result.stdout
 
-    assert "nothing to fetch" in run("--task", "grasp").stdout
+    again = run("--task", "grasp").stdout
+    assert "nothing to fetch" in again and "with the right sizes; --verify rehashes them" in again
+    assert "nothing to fetch" in (checked := run("--task", "grasp", "--verify").stdout) and "rehashed" in checked
     assert "here" in run("--dry-run", "--source", mirror).stdout
     report = json.loads(run("tiny", "--json", "--source", mirror).stdout)
     assert (

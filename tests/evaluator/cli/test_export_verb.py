@@ -98,7 +98,7 @@ def test_an_import_says_what_differs(release: ReleaseFolder) -> None:
         "the name is pushes, not tiny",
         "round-1/grasp/train: not part of the export",
         "round-1/push/train: 4 of 5 episodes",
-        "check it: rema verify mine/pushes",
+        f"check it: rema verify {Path('mine/pushes').absolute()}",
         "note: push.hdf5, demo_1: other rewards than the columns say, which are imported",
     ):
         assert sentence in back.stdout

@@ -52,7 +52,7 @@ def test_the_table(write: Write) -> None:
 
 @pytest.mark.parametrize("columns", [60, 80, 100])
 def test_narrow_terminals_keep_every_cell_whole(write: Write, monkeypatch: pytest.MonkeyPatch, columns: int) -> None:
-    monkeypatch.setattr("evaluator.cli.board.terminal_width", lambda: columns)
+    monkeypatch.setattr("evaluator.cli.output.terminal_width", lambda: columns)
     mine = solved(0.7, 2)
     result = board(write("my_policy", mine), write("a_policy_with_a_long_name", solved(0.4, 3)))
     row = next(line for line in result.stdout.splitlines() if "my_policy" in line)
@@ -136,7 +136,7 @@ def test_bad_runs(write: Write, tmp_path: Path) -> None:
         del header["seal"]
         (unsealed / "run.json").write_text(json.dumps(header))
         result = board(unsealed)
-        assert result.exit_code == 2 and "is not the summary of a run" in result.stderr
+        assert result.exit_code == 2 and "unsealed is not sealed" in result.stderr
         shutil.rmtree(unsealed)
     odd = reseal(write("odd", solved(0.5, 1)), protocol_hash=3, policy="\x1b[2J", task="fly")
     result = board(odd)

@@ -86,16 +86,18 @@ def evaluate():
     finally:
         print("tidied", step, flush=True)
 importlib.import_module("evaluator.cli.evaluate").evaluate = evaluate
-interrupts.GRACE_S = 0.3
+interrupts.GRACE_S = {grace_s}
 sys.argv[1:] = ["evaluate"]
 from evaluator.cli.{start}
 """
 STARTS = {"start": "start import main; main()", "main": "main import cli; sys.exit(cli())"}
 
 
-def stopped(kind: signal.Signals, step: str, start: str = "start") -> subprocess.CompletedProcess[str]:
+def stopped(
+    kind: signal.Signals, step: str, start: str = "start", grace_s: float = 60.0
+) -> subprocess.CompletedProcess[str]:
     ordinary = "import signal\nfor kind in (1, 2, 15): signal.signal(kind, signal.SIG_DFL)\n"  # also under nohup
-    code = ordinary + STOPPED.format(kind=int(kind), step=step, start=STARTS[start])
+    code = ordinary + STOPPED.format(kind=int(kind), step=step, start=STARTS[start], grace_s=grace_s)
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
 
 
@@ -112,6 +114,6 @@ def test_a_signal_stops_a_verb_between_two_steps_and_the_first_one_decides(
 
 
 def test_a_step_that_takes_too_long_is_ended() -> None:
-    done = stopped(signal.SIGTERM, "time.sleep(60)")
+    done = stopped(signal.SIGTERM, "time.sleep(60)", grace_s=0.2)
     assert (done.returncode, done.stdout) == (143, "")
     assert "interrupted; run the same command again" in done.stderr and "Traceback" not in done.stderr

@@ -33,8 +33,8 @@ def test_a_worker_that_is_killed_leaves_nothing(tmp_path: Path, monkeypatch: pyt
 
 
 def test_what_the_worker_of_a_killed_run_left_is_removed_by_the_next(tmp_path: Path) -> None:
-    start = f"from evaluator.engines.child import Child\nchild = Child('serve', '{WORKER}')"
-    code = f"{start}\nprint('on', flush=True)\ninput()"
+    start = f"from evaluator.engines.child import Child\nchild = Child('serve', '{WORKER}')\n"
+    code = start + "print('on', flush=True)\ninput()"
     with subprocess.Popen(
         [sys.executable, "-c", code],
         cwd=ROOT,

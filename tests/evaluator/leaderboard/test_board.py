@@ -146,6 +146,15 @@ def test_an_edited_summary_of_a_sealed_run_is_refused(write: Write) -> None:
     assert error.exit_code == 6 and 'summary.json isolation says "L3", run.json gives null' in error.message
 
 
+def test_a_run_whose_seal_was_taken_away_is_refused(write: Write) -> None:
+    folder = write("mine", solved(0.5, 1))
+    header = json.loads((folder / "run.json").read_text())
+    del header["seal"]
+    (folder / "run.json").write_text(json.dumps(header, indent=2) + "\n")
+    with pytest.raises(MissingFileError, match="is not sealed"):
+        leaderboard([folder], published=False)
+
+
 def test_a_rank_that_hangs_on_lost_episodes_is_none(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
     """Six discordant pairs decide; three lost episodes could undo them, and do no harm where the gap is wide."""
     monkeypatch.setattr("evaluator.leaderboard.eligibility.INFRA_LIMIT", 0.05)
@@ -176,8 +185,10 @@ def test_what_nobody_simulated_stands_apart(write: Write) -> None:
 
 def test_a_policy_that_carries_the_simulator_has_letters_and_no_rank(write: Write, tmp_path: Path) -> None:
     entry = write_entry(tmp_path / "oracle.json", write("oracle", solved(0.99, 1)), kind_of_policy="simulator")
-    board = leaderboard([entry, write("mine", solved(0.5, 2))], published=False)
+    said = write("said", solved(0.9, 3), simulator=True)  # by the class of the policy
+    board = leaderboard([entry, write("mine", solved(0.5, 2)), said], published=False)
     found = rows(board)
+    assert (found["said"].tag, found["said"].rank) == ("simulator", None)
     assert (found["oracle"].tag, found["oracle"].rank, found["mine"].rank) == ("simulator", None, 1)
     assert found["oracle"].ties != found["mine"].ties and remark(board, "simulator: it carries")
 
@@ -188,6 +199,12 @@ def test_a_run_under_the_name_of_an_installed_policy_must_be_of_it(write: Write,
     board = leaderboard([own, taken], published=False)
     verdicts = {row.source: row.unranked for row in board.rows}
     assert not verdicts[str(own)] and "is the name of an installed policy" in verdicts[str(taken)]
+
+
+def test_two_policies_of_one_name_are_said_to_be_two(write: Write) -> None:
+    sources = [write("mine", solved(0.5, 1)), write("other", solved(0.6, 2), policy="mine", digest="e" * 64)]
+    board = leaderboard(sources, published=False)
+    assert remark(board, "2 rows of grasp (conditional) are called mine") and len(board.rows) == 2
 
 
 def test_another_simulator_is_said_loudly(write: Write) -> None:

@@ -235,6 +235,8 @@ def test_names_and_kinds_that_are_ones_own(tmp_path: Path) -> None:
     built_in = write_run(tmp_path / "random", solved(0.1, 3), policy="random")
     assert entry_of(built_in).tag == "random" and entry_of(built_in, "mine").tag == "submitted"
     assert entry_of(folder).tag == "submitted" and entry_of(folder, simulator=True).tag == "simulator"
+    said = write_run(tmp_path / "said", solved(0.4, 3), policy="said", simulator=True)
+    assert entry_of(said).tag == "simulator" == entry_of(said, "renamed").tag
     privileged = write_run(tmp_path / "sees", solved(0.4, 3), policy="sees", privileged=True)
     assert entry_of(privileged).tag == "privileged"
 

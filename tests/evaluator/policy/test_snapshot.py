@@ -13,6 +13,7 @@ import pytest
 
 from evaluator.policy import PolicyHost, PolicySpec, digest, resolve
 from evaluator.policy.sandbox import snapshot, sources
+from evaluator.policy.sandbox.private_copy import held
 from evaluator.policy.sandbox.snapshot import take_snapshot
 from evaluator.policy.sandbox.sources import checkpoint_sources, code_sources
 from rema_data.errors import InputError, MissingFileError, RunMismatchError, StorageError
@@ -101,6 +102,29 @@ def test_a_run_refuses_a_policy_that_changed_meanwhile(fake_home: Path, spec: Po
     backend = fake_backend(open_policy=lambda *given: PolicyHost(spec, None, "cpu", LIMITS), digest="0" * 64)
     with pytest.raises(RunMismatchError, match="its code or its weights changed"):
         run_evaluation(fake_config(fake_home / "run", episodes=4, engine="inline"), backend=backend)
+
+
+def test_a_run_holds_one_copy_from_its_beginning_to_its_end(fake_home: Path, spec: PolicySpec) -> None:
+    """An author may edit the policy while it is evaluated; what is recorded is what ran."""
+    from evaluator.runner import run_evaluation
+
+    before, digests = digest(spec, None), []
+
+    def opened(policy: PolicySpec, *given: object) -> PolicyHost:
+        host = PolicyHost(policy, None, "cpu", LIMITS)
+        spec.path.write_text("")  # between the copy and the first process, and before the audit
+        digests.append(digest(policy, None))
+        return host
+
+    backend = fake_backend(open_policy=opened, policy_digest=digest, hold_policy=held)
+    runs = fake_home / "runs"
+    config = dataclasses.replace(fake_config(runs / "one", episodes=8, engine="inline", audit_share=0.5), policy=spec)
+    summary = run_evaluation(config, backend=backend).summary
+    header = json.loads((runs / "one" / "run.json").read_text())
+    assert header["identity"]["policy_digest"] == before and set(digests) == {before} and len(digests) > 1
+    assert summary["policy_errors"] == 0 and summary["episodes"] == 8
+    with pytest.raises(RunMismatchError, match="policy_digest"):
+        run_evaluation(config, backend=backend)
 
 
 def test_a_simulator_is_recorded(fake_home: Path, tmp_path: Path) -> None:

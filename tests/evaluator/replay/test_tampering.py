@@ -23,7 +23,8 @@ from tests.evaluator.fakes import fake_backend
 
 from .conftest import EPISODES, with_value
 
-SEALED = ("results.parquet", "actions.bin", "summary.json", "run.json")
+SEALED = ("results.parquet", "actions.bin", "run.json")
+DERIVED = "summary.json"
 Copy = Callable[[str], Path]
 
 
@@ -63,7 +64,19 @@ def test_any_changed_byte_of_a_sealed_file_is_found(
     assert any(file in name for name in named)
 
 
-@pytest.mark.parametrize("file", SEALED)
+def test_every_number_of_the_summary_is_compared(copy_of: Copy) -> None:
+    """It is not sealed, as it follows from what is: but for the last bits of a fraction, any other value is found."""
+    run = copy_of("long")
+    summary = json.loads((run / DERIVED).read_text())
+    for name, value in summary.items():
+        other = value + 1 if type(value) in (int, float) else {"x": 1} if value is None else [value]
+        (run / DERIVED).write_text(json.dumps({**summary, name: other}, indent=2) + "\n")
+        assert places(run, DERIVED), name
+    (run / DERIVED).write_text(json.dumps({**summary, "novelty": 1}, indent=2) + "\n")
+    assert places(run, DERIVED) == ["novelty"]
+
+
+@pytest.mark.parametrize("file", [*SEALED, DERIVED])
 def test_a_file_cut_short_or_gone(copy_of: Copy, file: str) -> None:
     run = copy_of("short")
     content = (run / file).read_bytes()

@@ -99,6 +99,21 @@ def test_a_column_that_is_not_new_may_not_be_missing(tmp_path: Path) -> None:
         read_run(folder)
 
 
+@pytest.mark.parametrize("number", [1, 2])
+@pytest.mark.parametrize("file", ["results", "actions.bin", "summary.json", "run.json"])
+def test_the_seals_of_earlier_formats_are_checked(tmp_path: Path, number: int, file: str) -> None:
+    folder = copy_of(number, tmp_path)
+    (folder / "leaves.bin").unlink()  # of which the seal knows, and nobody asks any more
+    assert read_run(folder).seal_state == "whole"
+    name = {"results": "episodes.parquet" if number == 1 else "results.parquet"}.get(file, file)
+    content = bytearray((folder / name).read_bytes())
+    place = content.index(b'"nondeterministic": 0') + 20 if name == "summary.json" else len(content) // 2
+    content[place] ^= 1
+    (folder / name).write_bytes(content)
+    with pytest.raises(IntegrityError, match=name.replace(".", r"\.")):
+        read_run(folder)
+
+
 def test_a_run_of_format_1_goes_on_and_is_of_the_newest_format_then(tmp_path: Path, installation: Path) -> None:
     folder = copy_of(1, tmp_path)
     before = pq.read_table(folder / "episodes.parquet")

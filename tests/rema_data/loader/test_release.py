@@ -182,3 +182,15 @@ def test_splits_in_any_form(release: rema_data.Release, split: Any) -> None:
 def test_selections_of_the_wrong_kind_are_refused(release: rema_data.Release, wrong: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=f"^{next(iter(wrong))}=.* is not a "):
         release.steps(**wrong)
+
+
+def test_relative_paths_are_meant_from_where_they_were_given(
+    places: Path, small: ReleaseFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = rema_data.load(Path("data") / small.manifest.name, cache="caches")
+    made_here = ReleaseFolder(small.manifest, Path("data"))
+    (places / "elsewhere").mkdir()
+    monkeypatch.chdir(places / "elsewhere")
+    assert len(opened.steps(tasks=["grasp"])) > 0 and opened.cache.folder is not None
+    assert opened.cache.folder.is_relative_to(places / "caches") and list((places / "elsewhere").iterdir()) == []
+    assert made_here.blocks() == small.blocks()

@@ -54,7 +54,7 @@ class InspectsEvaluator(Hostile):
         for name in ("mem", "environ", "maps", "cmdline", "fd/0", "stack", "auxv", "cwd", "root"):
             yield lambda name=name: os.close(os.open(evaluator / name, os.O_RDONLY))
         yield lambda: os.listdir(evaluator / "fd")
-        yield lambda: self.call("ptrace", 16, os.getppid(), 0, 0)
+        yield lambda: self.call("ptrace", 2, os.getppid(), 0, 0)
         buffer = ctypes.create_string_buffer(8)
         vector = (ctypes.c_size_t * 2)(ctypes.addressof(buffer), 8)
         yield lambda: self.call("process_vm_readv", os.getppid(), vector, 1, vector, 1, 0)

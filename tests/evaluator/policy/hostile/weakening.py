@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import resource
+import threading
 import time
 from pathlib import Path
 
@@ -84,12 +85,12 @@ class RaisesPriority(Hostile):
 
 
 class PinsItself(Hostile):
-    """Its own processors and memory nodes, set to what they are."""
+    """Its own processors, set to what they are."""
 
     def tries(self) -> Tries:
-        yield lambda: os.sched_setaffinity(0, os.sched_getaffinity(0))
-        yield lambda: syscall("set_mempolicy", 0, None, wide(0))
-        yield lambda: syscall("mbind", wide(0), wide(0), 0, None, wide(0), 0)
+        own = os.sched_getaffinity(0)
+        for thread in (0, os.getpid(), threading.get_native_id()):
+            yield lambda thread=thread: os.sched_setaffinity(thread, own)
 
 
 class SlowsEvaluator(Hostile):
