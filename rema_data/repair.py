@@ -92,9 +92,10 @@ def storage(number: int, variable: str = "") -> str:
 
     ``variable`` of the environment names the folder, where one does.
     """
-    if variable and _STORAGE.get(number) == _FULL:
-        return f"free some space, or set {variable} to a folder on another disk; then run the same command again"
-    if variable:
+    way_out = _STORAGE.get(number)
+    if variable and way_out == _FULL:
+        return f"free some space and run the same command again: it resumes; or set {variable} to another disk"
+    if variable and way_out == _CLOSED:
         return f"set {variable} to a folder that may be written, then run the same command again"
     return _STORAGE.get(number, "choose another folder, then run the same command again")
 

@@ -99,7 +99,8 @@ def _missing(found: Statistics) -> str:
 
 
 def _print_paper(comparison: Comparison, release: str) -> None:
-    numbers = tuple(f"{source}\n{name}" for source in ("paper", "ours") for name in ("+", "-", "rows", "% +"))
+    numbers = tuple(f"{source} {name}" for source in ("paper", "ours") for name in ("+", "-", "rows", "% +"))
+    sums = ("paper rows", "ours rows")
     rows = [
         *map(_paper_cells, comparison.tasks),
         None,
@@ -108,7 +109,9 @@ def _print_paper(comparison: Comparison, release: str) -> None:
         None,
         styled(_paper_cells(comparison.executed), "bold"),
     ]
-    print_table(("", *numbers), rows, title=f"the paper's Table 2 beside {release}", right=numbers)
+    title = f"the paper's Table 2 beside {release}"
+    if hidden := print_table(("", *numbers), rows, title=title, right=numbers, optional=sums):
+        line(f"no room for {', '.join(sorted(hidden))}; --json has every number", "dim")
     for remark in comparison.remarks:
         line(f"- {remark}")
 

@@ -120,7 +120,7 @@ def merging(tmp_path: Path) -> Work:
             shard, episodes=40, batch_size=8, engine="inline", audit_share=0.0, shard=RunShard(number, 2)
         )
         run_evaluation(config, backend=fake_backend())
-    return lambda folder: merge_runs(shards, folder / "whole")
+    return lambda folder: merge_runs(shards, folder / "whole", engine="inline", backend=fake_backend())
 
 
 @pytest.fixture

@@ -88,7 +88,7 @@ def test_a_cache_without_checksums_is_no_problem(machine: Path) -> None:
     doctor()
     (record,) = (machine / "home" / "decoded").glob("*/cache.json")
     content = json.loads(record.read_text())
-    del content["digests"]
+    del content["digests"], content["content_sha256"]  # as an earlier version wrote it
     record.write_text(json.dumps(content))
     assert "cannot be checked" not in doctor().stdout
     result = doctor("--check-caches")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 import shutil
 import subprocess
@@ -50,9 +51,18 @@ def _truncated(folder: Path) -> None:
     weights.write_bytes(weights.read_bytes()[:-1])
 
 
-def _of_another_architecture(folder: Path) -> None:
+def _edited(folder: Path) -> None:
     card = folder / "grasp.json"
     card.write_text(card.read_text().replace('"width": 8', '"width": 16'))
+
+
+def _of_another_architecture(folder: Path) -> None:
+    """As a card of an earlier version says it: it has no digest of its fields."""
+    card = folder / "grasp.json"
+    content = json.loads(card.read_text())
+    del content["content_sha256"]
+    content["architecture"]["width"] = 16
+    card.write_text(json.dumps(content))
 
 
 def _pickled(folder: Path) -> None:
@@ -65,6 +75,7 @@ def _pickled(folder: Path) -> None:
     ("damage", "said", "fixes"),
     [
         (_truncated, "truncated, damaged", "rema train"),
+        (_edited, "grasp.json", "rema train"),
         (_of_another_architecture, "another architecture", "rema train"),
         (_pickled, "no checkpoint in", "rema train"),
     ],
