@@ -1,4 +1,4 @@
-"""The leaderboard: results that were simulated again, and beside them what somebody says."""
+"""The leaderboard: verified results are ranked, others stand apart."""
 
 from __future__ import annotations
 

@@ -130,7 +130,7 @@ def _place(row: Row) -> tuple[object, ...]:
 
 
 def apart(row: Row) -> bool:
-    """Whether a row stands apart, because nobody simulated its actions."""
+    """Whether a row stands apart, because its actions were not simulated."""
     return not row.verified and row.tag != PUBLISHED
 
 
@@ -149,7 +149,7 @@ def _remarks(rows: Sequence[Row], pairs: Sequence[Pair]) -> Iterator[str]:
         yield "simulator: it carries a simulator or the scenario list, so it has letters but no rank."
     if any(apart(row) for row in rows):
         yield (
-            "NOT VERIFIED: rows that stand apart are what somebody says: their actions were not simulated here, and no "
+            "NOT VERIFIED: rows that stand apart are claims: their actions were not simulated here, and no "
             "verification record covers them. `rema leaderboard --verify` simulates those that hold actions."
         )
     for row in rows:

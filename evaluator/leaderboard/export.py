@@ -105,7 +105,7 @@ def matrix(board: Board, protocol: str) -> tuple[list[str], list[list[str]]]:
     """The header and the lines of a table with one line a policy and one column a task: rate, interval and letters.
 
     Policies without a rank are left out, except privileged and published ones, and, after the others, those of which
-    nobody verified the numbers. Empty cells: not scored.
+    the numbers are not verified. Empty cells: not scored.
     """
     shown = [
         row

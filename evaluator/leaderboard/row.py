@@ -39,7 +39,7 @@ class Row:
     rank: int | None = None  # this and the next two as in ``Standing``
     ties: str = ""
     unranked: str = ""
-    verified: str = ""  # as in ``Run``; empty if nobody simulated its actions, and for published rows
+    verified: str = ""  # as in ``Run``; empty if its actions were not simulated, and for published rows
     end_to_end: float | None = None  # rate over the whole task, on conditional rows of tasks of several steps
     z: float | None = None  # distance to the published rate of the same policy and task, in standard errors
     policy_digest: str = ""  # this, the hashes, ``fingerprint`` and ``isolation`` are empty if published

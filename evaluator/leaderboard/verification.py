@@ -39,7 +39,7 @@ from rema_data.validation import record, validated
 __all__ = ["Record", "known", "read_verified", "records", "verify", "write_record"]
 
 NOT_SIMULATED = "not simulated here"
-"""How the reason of a row ends that nobody looked at yet."""
+"""How the reason of a row ends that was not verified yet."""
 _ROWS_NAMED = 3
 _SUCCESS = "success"
 
@@ -78,7 +78,7 @@ def known(run: Run, backend: Backend | None = None) -> Run:
     Raises IntegrityError where its recorded results are not what its actions give.
     """
     if run.kind == "entry" and run.recorded is None:
-        return run  # of format 1: nobody can know
+        return run  # of format 1: it cannot be verified
     if run.kind == "entry" and (one := records().get(run.digest)) is not None:
         try:
             return run.derived(Derived.unpack(one.rows, len(run.actions), run.steps, one.fingerprint), "record")
@@ -117,7 +117,7 @@ def verify(
     """
     if not run.has_actions:
         raise InputError(
-            f"{run.source} holds no actions, so nobody can verify it",
+            f"{run.source} holds no actions, so it cannot be verified",
             hint="make an entry of its run again: rema submit RUN",
             path=str(run.source),
         )

@@ -4,7 +4,7 @@ The policy is asked again in a new process, in batches of other sizes and compan
 again in a new process, in another order. A policy that remembers earlier questions or answers by position shows as
 action flips, a world that is not a pure function as outcome flips.
 
-Which episodes are repeated depends on a digest of everything that was recorded before: nobody can know them earlier.
+Which episodes are repeated depends on a digest of everything that was recorded before: they cannot be known earlier.
 The repeats are journals of their own, in ``records/audit``, so that an interrupted audit continues where it stopped.
 """
 

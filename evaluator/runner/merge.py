@@ -4,7 +4,7 @@ A shard's run folder is like any other; the episodes of other shards have no res
 not its tables: the tables of the whole are made from all records, as those of a single run are, with the same bytes.
 
 The shards come from several machines, so a sample of their actions is simulated again. It is drawn with the digest of
-all that the shards say, so that nobody can keep out of it what is false.
+all that the shards hold, so that a shard cannot keep a false row out of it.
 """
 
 from __future__ import annotations
