@@ -10,7 +10,7 @@ from tests.mutations.mutators import FORGERIES, damaged
 from tests.mutations.parsers import PARSERS
 from tests.mutations.trial import GOOD, Trial, trials
 
-COUNT = 20
+COUNT = 8
 """Inputs of each parser here; ``benchmarks/mutations.py`` takes 600."""
 
 
