@@ -10,7 +10,7 @@ from tests.mutations.mutators import FORGERIES, damaged
 from tests.mutations.parsers import PARSERS
 from tests.mutations.trial import GOOD, Trial, trials
 
-COUNT = 8
+COUNT = 12
 """Inputs of each parser here; ``benchmarks/mutations.py`` takes 600."""
 
 
@@ -27,7 +27,7 @@ def found() -> dict[str, list[Trial]]:
 def test_mutated_inputs_are_refused_or_read_as_they_were(name: str, found: dict[str, list[Trial]]) -> None:
     wrong = [trial for trial in found[name] if trial.result not in GOOD]
     assert not wrong, "\n".join(f"{one.number}, {one.kind}: {one.result} {one.detail}" for one in wrong)
-    assert len(found[name]) >= 5
+    assert len(found[name]) >= 3
 
 
 @pytest.mark.benchmark
