@@ -74,7 +74,7 @@ def test_every_entry_of_the_newest_format_has_a_record_and_every_record_an_entry
     assert sorted(path.name for path in (ENTRIES / "verified").glob("*.json")) == [path.name for path in recorded()]
 
 
-@pytest.mark.benchmark
+@pytest.mark.slow
 def test_every_record_is_what_its_entry_gives() -> None:
     """On another simulator than the record's, at most 0.5 % of the labels may be others."""
     for path in recorded():

@@ -30,7 +30,7 @@ def test_mutated_inputs_are_refused_or_read_as_they_were(name: str, found: dict[
     assert len(found[name]) >= 3
 
 
-@pytest.mark.benchmark
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [parser.name for parser in PARSERS])
 def test_six_hundred_mutated_inputs(name: str) -> None:
     wrong = [trial for trial in trials([name], 600) if trial.result not in GOOD]

@@ -135,7 +135,7 @@ def test_how_they_end(name: str, tmp_path: Path) -> None:
     assert found.contained and found.counted, found
 
 
-@pytest.mark.benchmark
+@pytest.mark.slow
 @pytest.mark.usefixtures("_sandboxed")
 @pytest.mark.parametrize("name", every.POLICIES)
 def test_every_policy_is_contained_and_counted(name: str, tmp_path: Path) -> None:
