@@ -73,9 +73,10 @@ def draw(release: Release, steps: int) -> Samples:
 
 def balanced_order(samples: Samples, batch_size: int, count: int) -> list[Rows]:
     """Batches of sample numbers, ``count`` in all."""
-    table = samples.quantised.table.iloc[samples.rows].reset_index(drop=True)
     whole = -(-count // batch_size) * batch_size
-    sampler = rema_data.BalancedSampler(table, batch_size, num_samples=whole, seed=SEED)
+    sampler = rema_data.BalancedSampler(
+        samples.quantised.select(samples.rows), batch_size, num_samples=whole, seed=SEED
+    )
     return [np.asarray(batch, np.int64) for batch in sampler]
 
 
