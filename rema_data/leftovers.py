@@ -1,6 +1,6 @@
 """Temporary files and folders, and the removal of those that a killed process left.
 
-Whoever makes one holds a lock on it until it is gone or has its name; the kernel frees the lock when the process ends.
+The process that makes one locks it until it is gone or has its name; the kernel frees the lock when the process ends.
 So the next run knows which of them belong to nobody. Where the file system has no locks, nothing is removed.
 """
 

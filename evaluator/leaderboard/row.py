@@ -54,25 +54,11 @@ class Row:
 def row_of(run: Run, **standing: Any) -> Row:
     """The row of a run; ``standing`` are the fields that depend on the other rows."""
     provenance, z = run.provenance, None
+    what = {name: getattr(run, name) for name in ("policy", "tag", "task", "protocol", "split", "link", "isolation")}
+    what |= {name: getattr(provenance, name) for name in ("policy_digest", "protocol_hash", "scenarios_hash")}
+    what |= {"source": str(run.source), **standing}
     if not run.has_counts:
-        return Row(
-            policy=run.policy,
-            tag=run.tag,
-            task=run.task,
-            protocol=run.protocol,
-            split=run.split,
-            successes=None,
-            episodes=0,
-            rate=None,
-            ci95=None,
-            policy_digest=provenance.policy_digest,
-            protocol_hash=provenance.protocol_hash,
-            scenarios_hash=provenance.scenarios_hash,
-            source=str(run.source),
-            link=run.link,
-            isolation=run.isolation,
-            **standing,
-        )
+        return Row(successes=None, episodes=0, rate=None, ci95=None, **what)
     counts = run.counts
     # A submitted "joint.py" is not the paper's joint.
     comparable = run.verified and run.protocol == "conditional" and run.tag not in ("submitted", "simulator")
@@ -80,11 +66,6 @@ def row_of(run: Run, **standing: Any) -> Row:
     if known is not None and counts.eligible:
         z, _ = z_against_published(counts.successes, counts.eligible, known)
     return Row(
-        policy=run.policy,
-        tag=run.tag,
-        task=run.task,
-        protocol=run.protocol,
-        split=run.split,
         successes=counts.successes,
         episodes=counts.eligible,
         rate=counts.rate,
@@ -96,15 +77,9 @@ def row_of(run: Run, **standing: Any) -> Row:
         funnel=counts.funnel,
         audit=run.audit,
         z=z,
-        policy_digest=provenance.policy_digest,
-        protocol_hash=provenance.protocol_hash,
-        scenarios_hash=provenance.scenarios_hash,
         fingerprint=json.dumps(dict(provenance.fingerprint), sort_keys=True) if provenance.fingerprint else "",
-        source=str(run.source),
-        link=run.link,
-        isolation=run.isolation,
         verified=run.verified,
-        **standing,
+        **what,
     )
 
 

@@ -22,7 +22,7 @@ from evaluator.rollout.backend import Backend, default_backend
 from evaluator.rollout.derive import derive, world_identity
 from evaluator.run.derived import Derived, PackedRows, derived_of, recall, remember
 from evaluator.run.entry import entry_folder
-from evaluator.run.entry_fields import FingerprintField
+from evaluator.run.entry_fields import Fingerprint
 from evaluator.run.environment import code_commit
 from evaluator.run.header import Sha256
 from evaluator.run.plan import find_list
@@ -52,7 +52,7 @@ class Record:
     number: PositiveInt  # in which order entries were recorded: of two with the same actions, the earlier one counts
     entry: Sha256
     commit: Annotated[str, Field(pattern="^[0-9a-f]{40}$")] | None  # of the code that simulated it
-    fingerprint: Annotated[dict[FingerprintField, FingerprintField], Field(min_length=1)]
+    fingerprint: Fingerprint
     rows: PackedRows
 
 

@@ -1,6 +1,6 @@
 """What recorded actions give when they are simulated: the result of every step, and all counts that follow.
 
-An entry of the leaderboard holds no result, so whoever reads it derives these. They are kept in two places, each by the
+An entry of the leaderboard holds no result, so its reader derives these. They are kept in two places, each by the
 sha256 of what they were derived from: the cache of this machine (``REMA_HOME/verified``), and the verification records
 that come with rema (``manifests/leaderboard/verified``).
 """

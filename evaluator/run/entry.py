@@ -1,6 +1,6 @@
 """Entries of the leaderboard: a small JSON file of what was run, and the action log. No result is in it.
 
-Rates, labels and counts are derived by whoever reads an entry, by simulating its actions. Its sha256 (over the
+Rates, labels and counts are derived from the actions, by simulation, when an entry is read. Its sha256 (over the
 canonical form of everything else) shows damage and careless edits; it is not a signature.
 """
 
@@ -12,15 +12,14 @@ import json
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import pydantic
-from pydantic import Field
 
 from evaluator.protocol import acting_steps
 from evaluator.run.actions import Actions, decode_actions, encode_actions
 from evaluator.run.derived import inflate
-from evaluator.run.entry_fields import EntryKind, Environment, FingerprintField, Isolation, Link, Name
+from evaluator.run.entry_fields import EntryKind, Environment, Isolation, Link, Marks, Name
 from evaluator.run.header import Protocol, Sha256, Task, check_format
 from evaluator.run.old_entry import read_old_entry
 from evaluator.run.run import Provenance, Run
@@ -47,21 +46,13 @@ class _Policy:
 
 
 @record
-class _Marks:
-    policy_digest: Sha256
-    protocol_hash: Sha256
-    scenarios_hash: Sha256
-    fingerprint: Annotated[dict[FingerprintField, FingerprintField], Field(min_length=1)]
-
-
-@record
 class _Entry:
     format: Literal[2]
     policy: _Policy
     task: Task
     split: Literal["test"]
     protocol: Protocol
-    marks: _Marks
+    marks: Marks
     environment: Environment
     isolation: Isolation | None
     actions: str

@@ -7,9 +7,10 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, PositiveInt
 
+from evaluator.run.header import Sha256
 from rema_data.validation import record
 
-__all__ = ["EntryKind", "Environment", "FingerprintField", "Isolation", "Link", "Name"]
+__all__ = ["EntryKind", "Environment", "Fingerprint", "Isolation", "Link", "Marks", "Name"]
 
 
 def _name(name: str) -> str:
@@ -29,13 +30,25 @@ Name = Annotated[str, AfterValidator(_name)]
 """A policy's name as the board shows it."""
 Link = Annotated[str, AfterValidator(_link)]
 """The address of a policy's paper or code, or nothing."""
-FingerprintField = Annotated[str, Field(pattern="^[A-Za-z0-9_.-]{1,80}$")]
+_Plain = Annotated[str, Field(pattern="^[A-Za-z0-9_.-]{1,80}$")]
+Fingerprint = Annotated[dict[_Plain, _Plain], Field(min_length=1)]
+"""Identity of a simulator."""
 EntryKind = Literal["submitted", "simulator", "privileged", "learned", "heuristic", "random"]
 """What a policy is. Only an installed policy is of one of the last three kinds."""
 Isolation = Literal["L1", "L2", "L3"]
 """Levels of the sandbox."""
 _Version = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.+!-]{1,40}$")]
 _Machine = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.,@()/+ -]{1,100}$")]
+
+
+@record
+class Marks:
+    """What was evaluated, by which rules and with which simulator."""
+
+    policy_digest: Sha256
+    protocol_hash: Sha256
+    scenarios_hash: Sha256
+    fingerprint: Fingerprint
 
 
 @record

@@ -7,17 +7,16 @@ from __future__ import annotations
 
 import base64
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
 from evaluator.protocol import acting_steps
 from evaluator.run.audit import Audit
 from evaluator.run.counts import Counts
 from evaluator.run.derived import Outcomes
-from evaluator.run.entry_fields import FingerprintField, Link, Name
+from evaluator.run.entry_fields import Link, Marks, Name
 from evaluator.run.header import Protocol, Sha256, Task
 from evaluator.run.run import Provenance, Run
 from rema_data.errors import IntegrityError
@@ -32,14 +31,6 @@ class _Policy:
     name: Name
     privileged: bool
     link: Link
-
-
-@record
-class _Marks:
-    policy_digest: Sha256
-    protocol_hash: Sha256
-    scenarios_hash: Sha256
-    fingerprint: Annotated[dict[FingerprintField, FingerprintField], Field(min_length=1)]
 
 
 @record
@@ -62,7 +53,7 @@ class _Entry:
     split: Literal["test", "val"]
     protocol: Protocol
     counts: Counts
-    marks: _Marks
+    marks: Marks
     provenance: dict[str, str | int | bool | None]
     audit: Audit
     evidence: _Evidence

@@ -57,6 +57,6 @@ def _part(whole: Source, rows: Any) -> Source:
         table: Any = {name: np.asarray(column)[rows] for name, column in whole.table.items()}
     else:
         table = whole.table.iloc[rows].reset_index(drop=True)
-        table.attrs.clear()  # the rows of the part are numbered anew
+        table.attrs.clear()  # the rows of the part get new numbers
     digest = hashlib.sha256(f"{whole.fingerprint} {rows.astype('<i8').tobytes().hex()}".encode())
     return Source(table, None if whole.fingerprint is None else digest.hexdigest()[:32])

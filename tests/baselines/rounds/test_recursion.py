@@ -188,7 +188,7 @@ def test_the_published_plans_can_be_carried_out() -> None:
 
 
 def test_the_papers_plan_has_the_papers_size() -> None:
-    """Collected anew as a whole: 36,000 episodes of grasp, 24,000 of each other task, a sixth to validate."""
+    """All of it is collected: 36,000 episodes of grasp, 24,000 of each other task, a sixth to validate."""
     made = [one.collection for one in load_recursion(ROOT / "manifests" / "plans" / "rema-v1.toml").rounds]
     assert all(one is not None and one["episodes"] == {"train": 10_000, "val": 2_000} for one in made)
     of_task = Counter(task for one in made if one is not None for task in one["tasks"])
