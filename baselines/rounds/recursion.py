@@ -19,10 +19,12 @@ from baselines.train.loop import train, trained
 from evaluator.policy.shipped import CHECKPOINTS, publish_checkpoint
 from rema_data.errors import InputError, MissingFileError
 from rema_data.loader.release import load
+from rema_data.loader.subsets import freeze_subsets
 from rema_data.progress import Progress, Silent
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, parse_manifest
 from rema_data.release.registry import register
+from rema_data.release.subsets import large_enough
 
 __all__ = ["Stage", "publish", "recurse", "train_network"]
 
@@ -85,7 +87,7 @@ def train_network(
 
 
 def publish(plan: RecursionPlan, releases: Path) -> None:
-    """Enter the last release, and the networks of the plan's policies, in the manifests.
+    """Enter the last release, its fixed subsets, and the networks of the plan's policies in the manifests.
 
     Raises MissingFileError where a stage is not done yet, InputError where the name is published with other content.
     """
@@ -95,7 +97,10 @@ def publish(plan: RecursionPlan, releases: Path) -> None:
     for file in (path, *files):
         if not file.is_file():
             raise MissingFileError(f"{file} is not there yet", hint=f"finish it first: rema rounds {plan.path}")
-    register(parse_manifest(path.read_bytes(), str(path)))
+    manifest = parse_manifest(path.read_bytes(), str(path))
+    register(manifest)
+    if large_enough(manifest):
+        freeze_subsets(load(path.parent))
     for policy, folder in plan.policies.items():
         publish_checkpoint(policy, f"{plan.name}/{folder}", releases / CHECKPOINTS / plan.name / folder)
 

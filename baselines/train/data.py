@@ -64,7 +64,8 @@ def open_data(release: Release, config: TrainingConfig) -> TrainingData:
     if config.on_empty == "renormalise":
         skills = tuple(name for name in skills if name in set(release.cache.categories["skill"]))
     train, val = (
-        release.steps(tasks=config.tasks, split=split, which="all", skills=skills) for split in ("train", "val")
+        release.steps(tasks=config.tasks, split=split, which="all", skills=skills, subset=config.subset)
+        for split in ("train", "val")
     )
     _require_labels(release.name, "train on", train, skills if config.on_empty == "raise" else ())
     if config.on_empty == "raise":

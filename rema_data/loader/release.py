@@ -92,6 +92,7 @@ class Release:
         skills: Iterable[str] | None = None,
         which: Which = "last",
         maps: Delivery = "quantised",
+        subset: str | None = None,
     ) -> StepDataset:
         """A torch dataset of steps.
 
@@ -110,15 +111,18 @@ class Release:
             steps before the last, which pick up a tool.
         maps : "quantised" or "float32"
             What a batch holds: a ``StepBatch`` or a ``FloatBatch``.
+        subset : str, optional
+            A fixed part of the training episodes of every block, such as ``10pct-r1``: the first of ten replicates of
+            10 %, which share no episode. ``1pct-r1`` is a part of it. Validation episodes stay as they are.
 
         Raises
         ------
         InputError
-            The release has no such task, round, split or skill, or no such step.
+            The release has no such task, round, split, skill or subset, or no such step.
         MissingFileError
             A block of the selection is not on this machine; the command that fetches it is in the message.
         StorageError, IntegrityError
-            As for ``cache``.
+            As for ``cache``; the rows of the subset are not those of its manifest.
         """
         if which not in ("last", "all", "picks"):
             raise InputError(f"which={which!r} names no steps", hint="use which='last', 'all' or 'picks'")
@@ -134,12 +138,18 @@ class Release:
         named = None if skills is None else sorted({skills} if isinstance(skills, str) else set(skills))
         if named is not None:
             keep &= np.isin(index["skill"], self._skill_codes(named))
+        if subset is not None:
+            from rema_data.loader.subsets import steps_in_subset
+
+            keep &= steps_in_subset(self, subset, wanted)
         selected = np.flatnonzero(keep)
         if not len(selected):
             raise InputError(
                 f"release {self.name} has no step of this selection", hint="choose other tasks, skills or steps"
             )
         selection = {"blocks": sorted(key.path for key in wanted), "skills": named, "which": which}
+        if subset is not None:
+            selection["subset"] = subset
         return StepDataset(self.cache, selected, identity(self.fingerprint, selection), maps)
 
     def _skill_codes(self, names: list[str]) -> list[int]:

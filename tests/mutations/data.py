@@ -26,7 +26,8 @@ from rema_data.errors import IntegrityError
 from rema_data.json_files import with_digest
 from rema_data.loader.record import damaged_files
 from rema_data.release.folder import find_release
-from rema_data.release.registry import published, register
+from rema_data.release.registry import SAMPLE, load_published, published, register
+from rema_data.release.subsets import subsets_of
 from rema_data.samplers import BalancedSampler
 from rema_data.store.block import BlockKey, BlockReader, encode_episodes
 from rema_data.store.maps import ARRAYS
@@ -37,6 +38,7 @@ from tests.mutations.parser import Again, Parser
 __all__ = ["PARSERS"]
 
 KEY = BlockKey(1, "grasp_push", "train")
+MANIFESTS = Path(__file__).resolve().parents[2] / "manifests"
 RECURSION = (Path(__file__).resolve().parents[2] / "examples" / "tiny.toml").read_text()
 IDENTITY = {"seed": 1}
 SMALL = Architecture(width=8)
@@ -52,6 +54,17 @@ def make_published(folder: Path) -> None:
     made = make_release(folder / "home" / "releases", tasks=("grasp",), episodes=5)
     register(made.manifest)
     _writable(folder)
+
+
+def make_subsets(folder: Path) -> None:
+    """The manifest of the fixed subsets of the sample, beside the index that its release is in."""
+    (folder / "manifests" / "subsets").mkdir(parents=True)
+    (folder / "manifests" / "datasets").symlink_to(MANIFESTS / "datasets")
+    shutil.copy(MANIFESTS / "subsets" / f"{SAMPLE}.json", folder / "manifests" / "subsets")
+
+
+def read_subsets(folder: Path) -> Any:
+    return subsets_of(load_published(SAMPLE))
 
 
 def _writable(folder: Path) -> None:
@@ -244,6 +257,14 @@ PARSERS = (
         lambda folder: published(),
         ("manifests/datasets/index.json",),
         {"manifests/datasets/index.json": "json"},
+        checked=False,
+    ),
+    Parser(
+        "fixed subsets",
+        make_subsets,
+        read_subsets,
+        ("manifests/subsets/*.json",),
+        {"manifests/subsets/*.json": "json"},
         checked=False,
     ),
     Parser(
