@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluator.engines import FINGERPRINT, SIMULATOR
-from evaluator.engines.abandoned import remove_models
 from evaluator.run.environment import source_digest
 from evaluator.sim.bullet import require_bullet
 from rema_data.errors import RunMismatchError
@@ -70,7 +69,6 @@ def check_digest(policy: PolicyProcess, name: str, recorded: str) -> None:
 def default_backend() -> Backend:
     """The real world and the real host; raises InputError where PyBullet is not installed."""
     require_bullet()
-    remove_models()
     from evaluator.policy import PolicyHost, digest
     from evaluator.policy.sandbox.private_copy import held
     from evaluator.protocol import protocol_hash

@@ -6,12 +6,13 @@ Joint frames, masses and inertias are those of the iiwa description that ships w
 
 from __future__ import annotations
 
-import tempfile
+import atexit
+from contextlib import ExitStack
 from functools import lru_cache
-from pathlib import Path
 from typing import NamedTuple
 
 from evaluator.sim.parameters import WORLD, WorldParameters
+from rema_data.leftovers import temporary_folder
 
 ARM_JOINTS = tuple(range(7))
 FINGER_JOINTS = (7, 8)
@@ -88,9 +89,10 @@ def _box(centre: str, size: tuple[float, float, float]) -> str:
 
 
 @lru_cache(maxsize=8)
-def urdf_file(text: str) -> tuple[str, tempfile.TemporaryDirectory[str]]:
-    """The URDF as a file that lives as long as the process: its path, and the folder that keeps it."""
-    folder = tempfile.TemporaryDirectory(prefix="rema-urdf-")
-    path = Path(folder.name) / "iiwa7_wsg50.urdf"
+def urdf_file(text: str) -> str:
+    """Path of the URDF as a file that lives as long as the process; the next run removes that of a killed one."""
+    kept = ExitStack()
+    path = kept.enter_context(temporary_folder("rema-model-")) / "iiwa7_wsg50.urdf"
     path.write_text(text)
-    return str(path), folder
+    atexit.register(kept.close)
+    return str(path)

@@ -49,7 +49,7 @@ class Arm:
         self._p = world.client
         self._parameters = parameters = world.parameters
         self.base = base_of(name, parameters)
-        path, _ = robots.urdf_file(world.urdf)
+        path = robots.urdf_file(world.urdf)
         self.body: int = self._p.loadURDF(
             path,
             [self.base.x_m, self.base.y_m, self.base.z_m],

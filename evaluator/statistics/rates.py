@@ -6,6 +6,7 @@ scipy is imported when it is needed: it is slow to load, and the command line sh
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Literal
 
 from rema_data.errors import InputError
@@ -50,6 +51,7 @@ def rate_interval(successes: int, n: int, confidence: float = 0.95) -> tuple[flo
     return (clopper_pearson if successes in (0, n) else wilson)(successes, n, confidence)
 
 
+@lru_cache(maxsize=4096)
 def _interval(successes: int, n: int, confidence: float, method: Literal["wilson", "exact"]) -> tuple[float, float]:
     if not 0 <= successes <= n:
         raise InputError(f"{successes} successes of {n} episodes", hint="give 0 <= successes <= n")

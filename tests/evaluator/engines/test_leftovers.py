@@ -7,12 +7,10 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import pytest
 
-from evaluator.engines import abandoned
 from evaluator.engines.child import Child
 from rema_data.leftovers import remove_abandoned
 
@@ -27,7 +25,7 @@ def test_a_worker_that_is_killed_leaves_nothing(tmp_path: Path, monkeypatch: pyt
     environment = Path(f"/proc/{child.process.pid}/environ")
     if environment.exists():
         assert f"TMPDIR={folder}".encode() in environment.read_bytes().split(b"\0")
-    (folder / "rema-urdf-12345678").mkdir()
+    (folder / "rema-model-12345678").mkdir()
     child.stop()
     assert list(tmp_path.iterdir()) == []
 
@@ -50,31 +48,33 @@ def test_what_the_worker_of_a_killed_run_left_is_removed_by_the_next(tmp_path: P
     assert list(tmp_path.iterdir()) == []
 
 
-def test_models_of_dead_processes_are_removed_and_those_of_live_ones_are_not(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+SIMULATE = "from evaluator.sim.world import World\nworld = World(['left'])\nprint('on', flush=True)\ninput()"
+
+
+@pytest.mark.parametrize("kill", [signal.SIGKILL, None])
+def test_the_model_of_a_process_that_simulates_is_removed_with_it_or_by_the_next(
+    tmp_path: Path, kill: signal.Signals | None
 ) -> None:
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    now = time.time()
-    for name, age_s in (("rema-urdf-dead0000", 100.0), ("rema-urdf-live0000", 10.0), ("other-urdf", 100.0)):
-        (tmp_path / name).mkdir()
-        os.utime(tmp_path / name, (now - age_s, now - age_s))
-    monkeypatch.setattr(abandoned, "_simulates_since", lambda process: now - 50 if process.pid == os.getpid() else None)
-    abandoned.remove_models()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["other-urdf", "rema-urdf-live0000"]
-
-
-def test_a_process_with_the_physics_is_seen() -> None:
-    code = "import time, sys, pybullet\nprint('on', flush=True)\nsys.stdin.read()"
     with subprocess.Popen(
-        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-    ) as process:
-        assert process.stdout is not None and b"on" in process.stdout.readline()
-        import psutil
-
-        if hasattr(psutil.Process, "memory_maps"):
-            began = abandoned._simulates_since(psutil.Process(process.pid))
-            assert began is not None and abs(began - time.time()) < 600
-        process.kill()
+        [sys.executable, "-c", SIMULATE],
+        cwd=ROOT,
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+    ) as run:
+        assert run.stdout is not None and run.stdin is not None
+        assert run.stdout.readline().endswith(b"on\n")
+        remove_abandoned(tmp_path, "rema-model-")
+        assert len(list(tmp_path.glob("rema-model-*"))) == 1
+        if kill is None:
+            run.stdin.write(b"\n")
+            run.stdin.flush()
+        else:
+            run.send_signal(kill)
+    if kill is not None:
+        remove_abandoned(tmp_path, "rema-model-")
+    assert list(tmp_path.glob("rema-model-*")) == []
 
 
 def test_pool_workers_leave_ctrl_c_to_their_parent() -> None:
