@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from functools import cached_property, partial
@@ -17,7 +17,7 @@ from baselines.rounds.work import CHUNK_EPISODES, WorkFolder, cut, work_path
 from evaluator.engines import Engine, make_engine
 from evaluator.engines.child import call_in_child
 from evaluator.runner import Backend, default_backend
-from rema_data.errors import InputError, PolicyFailureError, RunMismatchError
+from rema_data.errors import InputError, IntegrityError, PolicyFailureError, RunMismatchError
 from rema_data.interrupts import check
 from rema_data.progress import Progress, Silent
 from rema_data.release.folder import ReleaseFolder, find_release
@@ -26,7 +26,8 @@ from rema_data.release.registry import load_published, published
 from rema_data.release.seal import seal
 from rema_data.schema import SCHEMA_VERSION
 from rema_data.storage import file_sha256
-from rema_data.store.block import BlockKey, BlockWriter, encode_episodes
+from rema_data.store.block import BlockKey, BlockReader, BlockWriter, encode_episodes
+from rema_data.verify.leakage import Scenes, frozen_scenes
 
 __all__ = ["Collected", "collect", "inherit"]
 
@@ -168,12 +169,13 @@ class _Collection:
         if found is None:
             self.check_name()
             self.plan.check_devices()
+            frozen = frozen_scenes()  # read before anything is played: without them nothing can be sealed
             # Episodes that other code of the world made are not mixed with these.
             with WorkFolder.locked(self.work, {**self.identity, "code": self.backend.observation_hash}) as work:
                 found = self.sealed()  # another process may have sealed it meanwhile
                 if found is None:
                     self.play(work, start_engine)
-                    found = Collected(self.seal(work), already=False)
+                    found = Collected(self.seal(work, frozen), already=False)
         shutil.rmtree(self.work, ignore_errors=True)
         return found
 
@@ -199,7 +201,7 @@ class _Collection:
                 error.hint = f"what it printed is in {self.work}/policy-*.log\n{error.hint}"
             raise
 
-    def seal(self, work: WorkFolder) -> ReleaseFolder:
+    def seal(self, work: WorkFolder, frozen: Mapping[bytes, str]) -> ReleaseFolder:
         """Merge the chunks and seal the release."""
         staging = work.staging()
         self.progress.phase("seal", len(self.chunks))
@@ -210,6 +212,7 @@ class _Collection:
                 self.progress.advance(1)
                 check()
             writer.close()
+        self.refuse_leaks(staging, frozen)
         return seal(
             staging,
             self.output,
@@ -219,4 +222,18 @@ class _Collection:
             plan_sha256=self.plan_sha256,
             parent=None if self.parent is None else self.parent.manifest,
             reused=self.reused,
+        )
+
+    def refuse_leaks(self, staging: Path, frozen: Mapping[bytes, str]) -> None:
+        """Raise IntegrityError where a scene for training is one for validation too, or a frozen one."""
+        scenes = Scenes()
+        for block in self.plan.blocks:
+            scenes.add(block.key.path, block.key.split, BlockReader(staging / block.key.path).steps())
+        scenes.check(frozen, self._leaks)
+
+    def _leaks(self, block: str, where: str, detail: str) -> None:
+        raise IntegrityError(
+            f"{where} of {block} in {self.plan.about.name} may not be sealed: {detail}",
+            hint=f"draw other scenes: give the plan another seed, and delete {self.work}",
+            block=block,
         )

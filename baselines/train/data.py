@@ -14,15 +14,13 @@ from torch import Tensor
 from baselines.tae.rotation import turn_end_effector
 from baselines.train.config import TrainingConfig
 from rema_data.augment import Augment
-from rema_data.errors import InputError, IntegrityError, MissingFileError
+from rema_data.errors import InputError, IntegrityError
 from rema_data.grid import ANGLES
 from rema_data.loader.batch import StepBatch
 from rema_data.loader.dataset import StepDataset
 from rema_data.loader.release import Release
-from rema_data.manifests import manifests_dir
-from rema_data.repair import restore
 from rema_data.samplers import BalancedSampler
-from rema_data.verify.leakage import frozen_lists, read_frozen, scene_keys
+from rema_data.verify.leakage import frozen_scenes, scene_keys
 
 __all__ = ["Samples", "TrainingData", "open_data", "prepared"]
 
@@ -112,15 +110,7 @@ def _balanced(val: StepDataset, limit: int) -> npt.NDArray[np.int64]:
 
 def refuse_test_scenes(release: Release, tasks: tuple[str, ...]) -> None:
     """Raise an IntegrityError where a frozen list has a scene of the release, MissingFileError without lists."""
-    frozen: dict[bytes, str] = {}
-    for path in frozen_lists(manifests_dir()):
-        frozen.update(read_frozen(path))
-    if not frozen:
-        raise MissingFileError(
-            f"there are no scenario lists in {manifests_dir()} to check this data against",
-            hint=restore(manifests_dir()),
-            path=str(manifests_dir()),
-        )
+    frozen = frozen_scenes()
     for block in release.blocks:
         if block.key.task not in tasks:
             continue

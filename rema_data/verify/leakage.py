@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,13 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from rema_data.bounded import parquet_table
-from rema_data.errors import IntegrityError
+from rema_data.errors import IntegrityError, MissingFileError
+from rema_data.manifests import manifests_dir
 from rema_data.repair import restore
 from rema_data.schema import Shape
 from rema_data.verify.findings import rows_of
 
-__all__ = ["Scenes", "frozen_lists", "read_frozen", "scene_keys"]
+__all__ = ["Scenes", "frozen_lists", "frozen_scenes", "read_frozen", "scene_keys"]
 
 _COLUMNS = ("length_m", "width_m", "arm_m", "height_m", "x_m", "y_m", "yaw_rad")
 _SHAPES = tuple(item.value for item in Shape)
@@ -78,15 +80,31 @@ def frozen_lists(folder: Path) -> list[Path]:
     ]
 
 
+def frozen_scenes() -> dict[bytes, str]:
+    """Scenes of all frozen lists with their names, as ``read_frozen``; MissingFileError without lists."""
+    frozen: dict[bytes, str] = {}
+    for path in frozen_lists(manifests_dir()):
+        frozen.update(read_frozen(path))
+    if not frozen:
+        raise MissingFileError(
+            f"there are no scenario lists in {manifests_dir()} to check this data against",
+            hint=restore(manifests_dir()),
+            path=str(manifests_dir()),
+        )
+    return frozen
+
+
 def read_frozen(path: Path) -> dict[bytes, str]:
     """Scenes of all steps of a frozen list, each with its name: ``VERSION/TASK/SPLIT/INDEX``. Or IntegrityError."""
     try:
-        return _scenes_of(path, parquet_table(path))
+        return _read(path, path.stat().st_mtime_ns)
     except (pa.ArrowException, ValueError, KeyError, OSError) as error:
         raise IntegrityError(f"{path} cannot be read: {error}", hint=restore(path), path=str(path)) from error
 
 
-def _scenes_of(path: Path, table: pa.Table) -> dict[bytes, str]:
+@lru_cache(maxsize=32)
+def _read(path: Path, _changed_ns: int) -> dict[bytes, str]:
+    table = parquet_table(path)
     task, _, split = path.stem.rpartition("_")
     names = [f"{path.parent.name}/{task}/{split}/{index:05d}" for index in table["index"].to_pylist()]
     found: dict[bytes, str] = {}

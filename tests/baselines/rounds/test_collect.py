@@ -16,6 +16,7 @@ from filelock import FileLock
 
 from baselines.rounds.play import draw_placements
 from baselines.rounds.work import work_path
+from evaluator.scenarios import load_list
 from rema_data.errors import (
     InfrastructureError,
     InputError,
@@ -26,9 +27,10 @@ from rema_data.errors import (
     StorageError,
     SubmissionError,
 )
+from rema_data.manifests import manifests_dir
 from rema_data.release.folder import ReleaseFolder, find_release
 from rema_data.release.registry import register
-from rema_data.schema import TASKS
+from rema_data.schema import TASKS, Placement
 from rema_data.store.block import BlockKey
 from rema_data.store.tables import outcome_of, situation_of
 from rema_data.testing import make_release
@@ -122,6 +124,24 @@ def test_a_sealed_plan_is_not_collected_again(tmp_path: Path, finished: ReleaseF
     assert tree(finished.path) == before and not work.exists()
 
 
+@pytest.mark.parametrize("kind", ["a frozen scenario", "a scene of the other split"])
+def test_a_scene_that_is_kept_for_evaluation_is_not_sealed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    def leaking(seed: int, block: BlockKey, index: int) -> tuple[Placement, ...]:
+        drawn = draw_placements(seed, block, index)
+        if (block.split, index) != ("val", 1):
+            return drawn
+        other = load_list("grasp").scenarios[4].placements[0] if kind == "a frozen scenario" else None
+        return (other or draw_placements(seed, block._replace(split="train"), 7)[0], *drawn[1:])
+
+    monkeypatch.setattr("baselines.rounds.play.draw_placements", leaking)
+    with pytest.raises(IntegrityError, match="row 1 of round-1/grasp/val in tiny may not be sealed") as caught:
+        collect_fake(write_plan(tmp_path), tmp_path)
+    assert ("/grasp/test/00004" in str(caught.value)) == (kind == "a frozen scenario")
+    assert not (tmp_path / "tiny").exists()
+
+
 @pytest.mark.parametrize(
     ("old", "new"), [("seed = 7", "seed = 8"), ("Nobody", "Somebody"), ("train = 11", "train = 12")]
 )
@@ -136,8 +156,9 @@ def test_a_published_name_belongs_to_one_plan(
     tmp_path: Path, finished: ReleaseFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Said before anything is played; the plan that made it may make it again, anywhere."""
-    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
     (tmp_path / "manifests").mkdir()
+    (tmp_path / "manifests" / "scenarios").symlink_to(manifests_dir() / "scenarios")
+    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
     register(finished.manifest)
     with pytest.raises(
         RunMismatchError, match=r"plan\.toml: tiny is a published release, made by another plan"

@@ -11,6 +11,7 @@ from click.testing import CliRunner, Result
 from baselines.rounds.estimate import estimate
 from baselines.rounds.plan import load_plan
 from evaluator.cli.main import cli
+from rema_data.manifests import manifests_dir
 from rema_data.release.folder import find_release
 from rema_data.release.registry import published
 from tests.baselines.rounds.fakes import collect_fake, write_plan
@@ -30,6 +31,7 @@ def rema(*arguments: object) -> Result:
 def test_it_seals_and_registers_a_release(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "manifests" / "datasets").mkdir(parents=True)
     (tmp_path / "manifests" / "datasets" / "index.json").write_text('{"releases": []}\n')
+    (tmp_path / "manifests" / "scenarios").symlink_to(manifests_dir() / "scenarios")
     monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
     arguments = (write_plan(tmp_path), "--output", tmp_path / "releases", "--engine", "inline")
     done = rema(*arguments, "--json")
