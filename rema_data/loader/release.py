@@ -147,7 +147,7 @@ class Release:
             raise InputError(
                 f"release {self.name} has no step of this selection", hint="choose other tasks, skills or steps"
             )
-        selection = {"blocks": sorted(key.path for key in wanted), "skills": named, "which": which}
+        selection: dict[str, object] = {"blocks": sorted(key.path for key in wanted), "skills": named, "which": which}
         if subset is not None:
             selection["subset"] = subset
         return StepDataset(self.cache, selected, identity(self.fingerprint, selection), maps)
