@@ -3,7 +3,8 @@
 ::
 
     name = "my-recursion"                       # title, description, license, citation, seed: as in a collection plan
-    begins_with = "rema-v0"                     # optional: whose first rounds are reused
+    begins_with = "rema-v0"                     # optional: whose first rounds are reused, but not its last one; or
+    continues = "rema-v0"                       # whose rounds are reused, all of them
     policies = { tae-joint = "joint" }          # optional: what --register enters as the networks of a built-in policy
     ...
 
@@ -34,7 +35,7 @@ from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import StringConstraints
+from pydantic import StringConstraints, model_validator
 
 from baselines.devices import LEARNED
 from baselines.rounds.plan import About, CollectionPlan, Text, read_plan, read_toml, reuses, wrong
@@ -112,7 +113,19 @@ class RecursionPlan:
 @record
 class _Recursion(About):
     begins_with: Text | None = None
+    continues: Text | None = None
     policies: dict[str, str] = field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _has_one_beginning(self) -> _Recursion:
+        if self.begins_with and self.continues:
+            raise ValueError("begins_with and continues cannot both be given")
+        return self
+
+    @property
+    def earlier(self) -> str | None:
+        """The recursion whose rounds are reused."""
+        return self.begins_with or self.continues
 
 
 @record
@@ -145,7 +158,9 @@ def load_recursion(path: Path) -> RecursionPlan:
     """
     content = read_toml(path)
     own = validated(_Recursion, content, str(path), hint=_HINT)
-    about = {key: value for key, value in content.items() if key not in ("begins_with", "policies", "rounds")}
+    about = {
+        key: value for key, value in content.items() if key not in ("begins_with", "continues", "policies", "rounds")
+    }
     plan = RecursionPlan(path, about, _rounds(path, own), own.policies)
     folders = {network.folder for entry in plan.rounds for network in entry.networks}
     for policy, folder in plan.policies.items():
@@ -165,18 +180,21 @@ def _rounds(path: Path, own: _Recursion) -> tuple[RoundPlan, ...]:
         used = {network.folder for earlier in rounds for network in earlier.networks}
         networks = _networks(path, where, table, used)
         if reuses(collection, path, where):
-            if own.begins_with is None:
-                raise wrong(path, f"{where}.reuse", "lacks its source", 'write begins_with = "..."')
+            if own.earlier is None:
+                raise wrong(path, f"{where}.reuse", "lacks its source", 'write begins_with or continues = "..."')
             if any(earlier.collection is not None for earlier in rounds):
                 what = "is reused after a round that is collected, and would not hold it"
                 raise wrong(path, where, what, "rounds that are reused come first")
-            rounds.append(RoundPlan(number, f"{own.begins_with}-round-{number}", None, networks))
+            following = own.rounds[number] if number < len(own.rounds) else {}
+            whole = own.continues is not None and "reuse" not in following  # the last round has the recursion's name
+            release = own.earlier if whole else f"{own.earlier}-round-{number}"
+            rounds.append(RoundPlan(number, release, None, networks))
             continue
         release = own.name if number == len(own.rounds) else f"{own.name}-round-{number}"
         entry = RoundPlan(number, release, collection, networks)
         known = {f"{own.name}/{folder}" for folder in used}
         for place in entry.played_by:
-            if place not in known and not (own.begins_with and place.startswith(f"{own.begins_with}/")):
+            if place not in known and not (own.earlier and place.startswith(f"{own.earlier}/")):
                 what = f"is played by {place}, which no earlier round trains"
                 raise wrong(path, where, what, f"networks by then: {_listed(known)}")
         rounds.append(entry)

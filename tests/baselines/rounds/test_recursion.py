@@ -135,6 +135,7 @@ def written(folder: Path, *changes: tuple[str, str]) -> Path:
         ),
         (('network = "round-3/push"', 'network = "round-3/grasp"'), "round-3/grasp is trained twice"),
         (("seed = 1", "seed = 1\nbegins_with = 5"), "begins_with is 5"),
+        (("seed = 1", 'seed = 1\nbegins_with = "older"\ncontinues = "older"'), "begins_with and continues"),
         (
             ("seed = 1", 'seed = 1\npolicies = { tea-joint = "joint" }'),
             "policies.tea-joint is 'joint': not a learned policy",
@@ -184,7 +185,15 @@ def test_the_published_plans_can_be_carried_out() -> None:
     for path in sorted((ROOT / "manifests" / "plans").glob("rema-v*.toml")):
         plan = load_recursion(path)
         assert plan.name == path.stem == plan.rounds[-1].release
-        assert set(plan.policies) == {"tae-joint", "tae-separate"}
+        assert set(plan.policies) <= {"tae-joint", "tae-separate"} and plan.policies
+
+
+def test_a_whole_recursion_is_continued() -> None:
+    """Its last release, which has its name, is what the first new round continues."""
+    plan = load_recursion(ROOT / "manifests" / "plans" / "rema-v1-tool2.toml")
+    releases = [entry.release for entry in plan.rounds]
+    assert releases[:4] == ["rema-v1-round-1", "rema-v1-round-2", "rema-v1-round-3", "rema-v1"]
+    assert releases[4:] == ["rema-v1-tool2-round-5", "rema-v1-tool2"]
 
 
 def test_the_papers_plan_has_the_papers_size() -> None:
