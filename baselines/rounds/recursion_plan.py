@@ -49,6 +49,8 @@ from rema_data.validation import record, validated
 __all__ = ["NetworkPlan", "RecursionPlan", "RoundPlan", "load_recursion", "networks_folder"]
 
 _HINT = "fix the plan; examples/tiny.toml shows how one is written"
+_OWN = ("begins_with", "continues", "policies", "rounds")
+"""Fields that a collection plan does not have, or has otherwise."""
 _PLACE = 'write where it is stored, below the networks of this plan: network = "round-1/grasp"'
 
 
