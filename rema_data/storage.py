@@ -65,7 +65,14 @@ def rema_home() -> Path:
         usual = platformdirs.user_cache_path("rema", appauthor=False)
     except RuntimeError:  # no HOME, and no entry in the list of users
         return _home_of_nobody()
-    return usual if usual.is_absolute() else _home_of_nobody()  # as earlier versions of platformdirs say it
+    if not usual.is_absolute():  # as earlier versions of platformdirs say it
+        return _home_of_nobody()
+    # containers give users whom they do not list the home folder "/", which is not theirs
+    return usual if usual.parent != Path("/.cache") or _may_be_written(usual.parent) else _home_of_nobody()
+
+
+def _may_be_written(folder: Path) -> bool:
+    return os.access(folder if folder.exists() else folder.parent, os.W_OK)
 
 
 def _home_of_nobody() -> Path:

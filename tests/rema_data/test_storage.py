@@ -105,6 +105,17 @@ def test_a_user_without_a_home_folder(old: bool, tmp_path: Path, monkeypatch: py
     assert "REMA_HOME" in caught.value.hint
 
 
+@pytest.mark.parametrize("own", [False, True])
+def test_a_user_whose_home_folder_is_the_root(own: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Docker gives one to ``--user NUMBER``: it can be written only where it is the user's own."""
+    for variable in ("REMA_HOME", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setenv("HOME", "/")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(storage.os, "access", lambda path, mode: own)
+    assert rema_home() == (Path("/.cache/rema") if own else tmp_path / f"rema-{os.getuid()}")
+
+
 @pytest.mark.parametrize(
     ("number", "words"),
     [(errno.EROFS, "may be written"), (errno.EACCES, "may be written"), (errno.ENOSPC, "free some")],
