@@ -18,13 +18,16 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import KW_ONLY, dataclass, field
 from enum import StrEnum
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from rema_data import grid
 from rema_data.errors import InputError
+
+if TYPE_CHECKING:
+    from rema_data.variation import Variation
 
 SCHEMA_VERSION = 1
 """Of the stored tables: the newest ``since`` of a column in ``rema_data.store.columns``."""
@@ -34,11 +37,26 @@ HEIGHT_STEP_M = 1e-4
 
 
 class Shape(StrEnum):
-    """The three seed shapes (paper, section 4)."""
+    """The three seed shapes (paper, section 4), then those of the suites, which no release has."""
 
     I = "I"
     L = "L"
     T = "T"
+    U = "U"
+    Z = "Z"
+    PLUS = "plus"
+    Y = "Y"
+    RING = "ring"
+    H = "H"
+    COMB = "comb"
+    EIGHT = "eight"
+    F = "F"
+    HOOK = "hook"
+    RAKE = "rake"
+
+
+SEED_SHAPES = (Shape.I, Shape.L, Shape.T)
+"""The shapes of the paper, of every release, and of the clean scenario lists."""
 
 
 class Primitive(StrEnum):
@@ -146,12 +164,12 @@ class Failure(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ObjectSpec:
-    """An I, L or T made of boxes."""
+    """An object made of boxes: an I, L or T, or a shape of a suite (``evaluator.sim.shapes``)."""
 
     shape: Shape
     length_m: float  # of the main bar
     width_m: float  # of every bar
-    arm_m: float  # extent of the second bar across the main one, the main bar's width included; 0 for an I
+    arm_m: float  # extent of the other bars across the main one, the main bar's width included; 0 for an I
     height_m: float
 
 
@@ -199,6 +217,7 @@ class Situation:
     target: Placement  # the object of this step
     grips: tuple[Grip, ...] = ()  # tools in hand: the first in the left hand when there are two
     pinch: Pinch | None = None
+    variation: Variation | None = None  # of a suite's scenario: what is other than in the clean protocol
 
     @property
     def kind(self) -> StepKind:
@@ -224,10 +243,12 @@ class Scenario:
     placements: tuple[Placement, ...]  # the object of every step, in order
     grips: tuple[Grip, ...] = ()  # as the reference policy picked them; empty where the task has no tools
     pinch: Pinch | None = None  # as the reference policy pinched it, for ``grasp_grasp_push``
+    variation: Variation | None = None  # of a scenario of a suite, whose last step it changes
 
     def last_situation(self) -> Situation:
         """The last step, with the scenario's tools in hand (conditional protocol)."""
-        return Situation(self.task, len(self.placements) - 1, self.placements[-1], self.grips, self.pinch)
+        last = len(self.placements) - 1
+        return Situation(self.task, last, self.placements[-1], self.grips, self.pinch, self.variation)
 
     def first_situation(self) -> Situation:
         """The first step, with empty hands (end-to-end protocol)."""

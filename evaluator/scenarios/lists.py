@@ -2,6 +2,7 @@
 
 A list has one row a scenario. Its columns follow from the task: ``object{n}_*`` for the object of step n,
 ``tool{n}_*`` for the n-th tool in hand (0: the left hand's where there are two) and ``pinch_*`` for the pinched object.
+A list of a suite has a last column ``variation``, JSON: what is other than in the clean protocol.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from rema_data.schema import (
 )
 from rema_data.storage import write_atomic
 from rema_data.validation import validated
+from rema_data.variation import compact, variation_from_dict
 
 __all__ = [
     "ScenarioList",
@@ -56,6 +58,7 @@ SPLITS = ("test", "val")
 VERSION = "v2"
 """The version of the lists that evaluations use; older and newer ones may lie beside it."""
 
+_VARIATION = "variation"
 _SPEC = tuple(field.name for field in dataclasses.fields(ObjectSpec) if field.name != "shape")
 _POSE: dict[type, tuple[str, ...]] = {
     Placement: ("x_m", "y_m", "yaw_rad"),
@@ -96,11 +99,13 @@ def _groups(task: str) -> dict[str, type]:
     return groups | ({"pinch": Pinch} if pinch_step(task) is not None else {})
 
 
-def _schema(task: str) -> pa.Schema:
+def _schema(task: str, varied: bool = False) -> pa.Schema:
     fields = [pa.field("index", pa.int32(), nullable=False)]
     for prefix, kind in _groups(task).items():
         fields.append(pa.field(f"{prefix}_shape", pa.string()))
         fields.extend(pa.field(f"{prefix}_{name}", pa.float64()) for name in _SPEC + _POSE[kind])
+    if varied:
+        fields.append(pa.field(_VARIATION, pa.string(), nullable=False))
     return pa.schema(fields)
 
 
@@ -117,6 +122,8 @@ def _row(scenario: Scenario) -> dict[str, Any]:
             row[f"{prefix}_shape"] = thing.spec.shape.value
             row.update({f"{prefix}_{name}": float(getattr(thing.spec, name)) for name in _SPEC})
             row.update({f"{prefix}_{name}": float(getattr(thing, name)) for name in _POSE[kind]})
+    if scenario.variation is not None:
+        row[_VARIATION] = json.dumps(compact(scenario.variation), separators=(",", ":"))
     return row
 
 
@@ -142,7 +149,10 @@ def encode_list(scenarios: Sequence[Scenario]) -> bytes:
                 hint="give every step its object",
                 position=position,
             )
-    schema = _schema(task).with_metadata({"rema.task": task, "rema.split": split})
+    varied = {scenario.variation is not None for scenario in scenarios}
+    if len(varied) > 1:
+        raise InputError(f"the {task}/{split} list mixes clean and varied scenarios", hint="write two lists")
+    schema = _schema(task, *varied).with_metadata({"rema.task": task, "rema.split": split})
     buffer = io.BytesIO()
     table = pa.Table.from_pylist([_row(scenario) for scenario in scenarios], schema=schema)
     pq.write_table(table, buffer, compression="zstd", compression_level=9, version="2.6", row_group_size=len(scenarios))
@@ -273,7 +283,8 @@ def _read(path: Path, listed: _Entry, task: str, split: str) -> tuple[Scenario, 
         raise IntegrityError(
             f"scenario list {path} cannot be read: {error}", hint=restore(path), path=str(path)
         ) from error
-    if table.schema.names != _schema(task).names or table.schema.types != _schema(task).types:
+    schema = _schema(task, _VARIATION in table.schema.names)
+    if table.schema.names != schema.names or table.schema.types != schema.types:
         raise IntegrityError(
             f"scenario list {path} does not have the columns of a {task} list",
             hint="install the version of rema that the list belongs to",
@@ -307,8 +318,23 @@ def _scenarios(table: pa.Table, task: str, split: str) -> tuple[Scenario, ...]:
     held = {prefix: read(prefix, kind) for prefix, kind in _groups(task).items()}
     steps = len(TASKS[task])
     pinches = held.pop("pinch", [None] * table.num_rows)
-    rows = zip(columns["index"], zip(*held.values(), strict=True), pinches, strict=True)
+    variations = [variation_from_dict(json.loads(text)) for text in columns.get(_VARIATION, ())]
+    rows = zip(
+        columns["index"],
+        zip(*held.values(), strict=True),
+        pinches,
+        variations or [None] * table.num_rows,
+        strict=True,
+    )
     return tuple(
-        Scenario(task, split, index, things[:steps], tuple(grip for grip in things[steps:] if grip is not None), pinch)
-        for index, things, pinch in rows
+        Scenario(
+            task,
+            split,
+            index,
+            things[:steps],
+            tuple(grip for grip in things[steps:] if grip is not None),
+            pinch,
+            variation,
+        )
+        for index, things, pinch, variation in rows
     )

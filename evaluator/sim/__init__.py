@@ -12,7 +12,7 @@ Everything here decides outcomes or observations, and nothing draws a picture. R
 7. ``fingerprint``: which simulator this is.
 """
 
-DECIDES = ("evaluator.sim", "rema_data.grid", "rema_data.schema")
+DECIDES = ("evaluator.sim", "rema_data.grid", "rema_data.schema", "rema_data.variation")
 """Packages and modules whose code decides outcomes and observations.
 
 The identity of a collection and of an observation cache is the digest of their source

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -51,6 +51,8 @@ class Attempt:
     allowed: tuple[int, ...]  # bodies that may touch the target
     forbidden: tuple[int, ...] = ()  # bodies that must not touch the target
     evidence: Evidence = field(default_factory=Evidence)  # what was measured so far
+    loose: tuple[int, ...] = ()  # further loose objects, which stay on the table
+    posts: tuple[int, ...] = ()  # bodies that nothing may touch
 
     @property
     def parameters(self) -> WorldParameters:
@@ -82,7 +84,7 @@ class Attempt:
     def step(self, count: int = 1) -> None:
         """Advance, watching for forbidden contacts after every simulation step."""
         world = self.world
-        if not self.forbidden:
+        if not self.forbidden and not self.posts:
             world.step(count)
             return
         for _ in range(count):
@@ -90,11 +92,30 @@ class Attempt:
             self.check_forbidden()
 
     def check_forbidden(self) -> None:
-        """End the attempt if a body that must not touch the target touches it."""
-        for body in self.forbidden:
-            if self.world.touching(body, self.target):
+        """End the attempt if a body that must not touch the target touches it, or anything that moves a post."""
+        touches = [(body, self.target) for body in self.forbidden]
+        touches += [(body, post) for post in self.posts for body in (*self.acting, self.target)]
+        for body, other in touches:
+            if self.world.touching(body, other):
                 self.note(illegal_steps=self.evidence.illegal_steps + 1)
                 raise AttemptFailed(Failure.ILLEGAL_CONTACT)
+
+    @property
+    def acting(self) -> tuple[int, ...]:
+        """Bodies of the hands, and of what they hold."""
+        tools = (hand.tool for hand in self.hands if hand.tool is not None)
+        return tuple(dict.fromkeys((*(hand.arm.body for hand in self.hands), *tools, *self.allowed)))
+
+    def check_alone(self) -> None:
+        """End the attempt if something else was lifted with the target."""
+        if any(self.world.pose(body)[2] > self.parameters.slip_lift_m + height for body, height in self._resting()):
+            raise AttemptFailed(Failure.ILLEGAL_CONTACT)
+
+    def _resting(self) -> Iterator[tuple[int, float]]:
+        """The further loose objects, each with the height of its centre of mass on the table."""
+        if self.loose and self.situation.variation is not None:
+            for body, other in zip(self.loose, self.situation.variation.others, strict=True):
+                yield body, other.spec.height_m / 2
 
     def touched(self) -> bool:
         """Whether an allowed body presses on the target now; counted as evidence."""
@@ -112,11 +133,12 @@ class Attempt:
         """Move down, and end the attempt if hand or tool lands on the target (protective stop)."""
         bodies = {hand.arm.body for hand in self.hands} | {hand.tool for hand in self.hands if hand.tool is not None}
         bodies |= set(self.allowed)
+        struck = (self.target, *self.loose)
         for tick in range(len(paths[0].velocities)):
             self.command(paths, tick)
             for _ in range(self.parameters.control_every):
                 self.world.step()
-                if self.too_much(sum(self.world.force(body, self.target) for body in bodies)):
+                if self.too_much(sum(self.world.force(body, on) for on in struck for body in bodies)):
                     self.note(contact_steps=self.evidence.contact_steps + 1)
                     raise AttemptFailed(Failure.BLOCKED)
                 self.check_forbidden()

@@ -9,6 +9,7 @@ from functools import lru_cache
 from evaluator.sim.parameters import WorldParameters
 from evaluator.sim.planar import Rect, gap
 from evaluator.sim.shapes import footprint, held_footprint
+from evaluator.sim.varied import standing
 from rema_data.schema import Grip, Situation
 
 SIDES = (1.0, -1.0)
@@ -33,8 +34,9 @@ def hand_footprint(opening_m: float, grip: Grip | None, parameters: WorldParamet
 def clear_of_target(
     situation: Situation, footprints: Sequence[Rect], pose: tuple[float, float, float], margin_m: float
 ) -> bool:
-    """Whether footprints, moved to a world pose (x, y, yaw), keep ``margin_m`` away from the target."""
-    return gap((rect.moved(*pose) for rect in footprints), footprint(situation.target)) > margin_m
+    """Whether footprints, moved to a world pose (x, y, yaw), keep ``margin_m`` away from all that stands there."""
+    moved = [rect.moved(*pose) for rect in footprints]
+    return all(gap(moved, footprint(placement)) > margin_m for placement in standing(situation))
 
 
 def lowest_point(grip: Grip | None) -> float:

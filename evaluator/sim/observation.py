@@ -16,6 +16,7 @@ from evaluator.sim.parameters import WORLD, WorldParameters
 from evaluator.sim.planar import paint
 from evaluator.sim.shapes import footprint
 from evaluator.sim.staging import Part
+from evaluator.sim.varied import parameters_of, standing
 from rema_data.grid import EE_HALF_M, EE_PIXELS, SCENE_HALF_M, SCENE_PIXELS
 from rema_data.schema import HEIGHT_STEP_M, Observation, Situation
 
@@ -31,17 +32,24 @@ def observe(situation: Situation, parameters: WorldParameters = WORLD) -> Observ
 
     The end-effector maps are centred on the tool centre point (one hand) or on the pair's origin (two hands), at yaw 0.
     """
+    parameters = parameters_of(situation, parameters)
     scene = np.zeros((SCENE_PIXELS, SCENE_PIXELS), np.uint16)
-    height = round(situation.target.spec.height_m / HEIGHT_STEP_M)
-    for rect in footprint(situation.target):
-        paint(scene, rect, height, SCENE_HALF_M)
+    for placement in standing(situation):
+        height = round(placement.spec.height_m / HEIGHT_STEP_M)
+        for rect in footprint(placement):
+            paint(scene, rect, height, SCENE_HALF_M)
     depth = np.zeros((2, EE_PIXELS, EE_PIXELS), np.uint16)
     mask = np.zeros((2, EE_PIXELS, EE_PIXELS), np.bool_)
     start, end = end_effector_states(situation, parameters)
     depth[0], mask[0] = depth[1], mask[1] = paint_parts(start)
     if end is not start:
         depth[1], mask[1] = paint_parts(end)
-    return Observation(scene, depth, mask)
+    seen = Observation(scene, depth, mask)
+    if situation.variation is None or situation.variation.sense is None:
+        return seen
+    from evaluator.sim.sense import sensed  # scipy.ndimage is loaded for maps with faults only
+
+    return sensed(seen, situation.variation.sense)
 
 
 def paint_parts(parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:

@@ -148,6 +148,11 @@ class World:
         self.arms: dict[str, Arm] = {}
         self.begin(arms)
 
+    def use(self, parameters: WorldParameters) -> None:
+        """Take other constants from the next ``begin`` on."""
+        if parameters != self.parameters:
+            self.parameters, self.urdf = parameters, robots.urdf(parameters)
+
     def begin(self, arms: Sequence[str] | None = None) -> None:
         """Build everything again: an empty table, and arms (by default those of before) for the caller to reset."""
         p, parameters = self.client, self.parameters
@@ -167,17 +172,38 @@ class World:
         p.changeDynamics(self.table, -1, lateralFriction=parameters.table_friction)
         self.arms = {name: Arm(self, name) for name in names}
 
-    def place(self, spec: ObjectSpec, x_m: float, y_m: float, z_m: float, yaw_rad: float) -> int:
-        """Put an object's centre of mass at a pose, at rest; returns its body id."""
+    def place(
+        self,
+        spec: ObjectSpec,
+        x_m: float,
+        y_m: float,
+        z_m: float,
+        yaw_rad: float,
+        *,
+        fixed: bool = False,
+        mass_offset_m: tuple[float, float] = (0.0, 0.0),
+    ) -> int:
+        """Put an object at a pose, at rest; returns its body id.
+
+        The pose is that of its centre of mass, which lies at ``mass_offset_m`` in the frame of the object's shape. A
+        ``fixed`` object never moves.
+        """
         p, parameters = self.client, self.parameters
         parts = boxes(spec)
+        off_x, off_y = mass_offset_m
+        turned = {}
+        if any(box.yaw for box in parts):
+            turned["collisionFrameOrientations"] = [
+                [0.0, 0.0, math.sin(box.yaw / 2), math.cos(box.yaw / 2)] for box in parts
+            ]
         shape = p.createCollisionShapeArray(
             shapeTypes=[pybullet.GEOM_BOX] * len(parts),
             halfExtents=[[box.half_x, box.half_y, spec.height_m / 2] for box in parts],
-            collisionFramePositions=[[box.x, box.y, 0.0] for box in parts],
+            collisionFramePositions=[[box.x - off_x, box.y - off_y, 0.0] for box in parts],
+            **turned,
         )
         half = yaw_rad / 2
-        mass = mass_kg(spec, parameters.density_kg_m3)
+        mass = 0.0 if fixed else mass_kg(spec, parameters.density_kg_m3)
         body: int = p.createMultiBody(
             mass,
             shape,
@@ -185,6 +211,9 @@ class World:
             baseOrientation=[0.0, 0.0, math.sin(half), math.cos(half)],
             useMaximalCoordinates=1,
         )
+        if fixed:
+            p.changeDynamics(body, -1, lateralFriction=parameters.object_friction)
+            return body
         p.changeDynamics(
             body,
             -1,

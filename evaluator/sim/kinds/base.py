@@ -21,6 +21,7 @@ from evaluator.sim.motion import JointPath, line, profile
 from evaluator.sim.parameters import WORLD, WorldParameters
 from evaluator.sim.planar import Rect
 from evaluator.sim.staging import ARMS, HandPose, Part, Pose, Thing, turned
+from evaluator.sim.varied import standing
 from rema_data.schema import Grip, Pinch, Placement, Situation, StepKind
 
 __all__ = ["TOOL_HEIGHTS_M", "Kind"]
@@ -88,8 +89,8 @@ class Kind(ABC):
         return () if self.bare else situation.grips
 
     def start_height(self, situation: Situation, clearance_m: float) -> float:
-        """Height of the whole that keeps what is held ``clearance_m`` above the target's top."""
-        return situation.target.spec.height_m + clearance_m
+        """Height of the whole that keeps what is held ``clearance_m`` above all that stands on the table."""
+        return max(placement.spec.height_m for placement in standing(situation)) + clearance_m
 
     def hands(
         self,

@@ -1,0 +1,178 @@
+"""A generalisation suite: a folder of frozen lists like the clean ones, whose scenarios belong to cells.
+
+A cell is (task, axis, level). All cells of a task are one list, in an order that says nothing about them, so that a
+policy is never told in which cell it is. Every axis has clean scenarios of its own, which its levels share: cells are
+paired with each other, and with a clean run.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from typing import NamedTuple
+
+import numpy as np
+
+from evaluator.scenarios.axes import AXES, Draw
+from evaluator.scenarios.lists import ScenarioList, load_list, manifest_path, update_manifest, write_list
+from evaluator.sim.kinds import kind_of
+from evaluator.sim.parameters import WORLD, parameters_hash
+from evaluator.sim.reach import valid_actions
+from evaluator.sim.simulator import Simulator, process_simulator
+from evaluator.sim.varied import standing
+from rema_data import grid
+from rema_data.errors import InputError
+from rema_data.interrupts import check
+from rema_data.progress import Progress, Silent
+from rema_data.schema import TASK_NUMBERS, TASKS, Scenario
+from rema_data.variation import Variation
+
+__all__ = ["CELL", "Cell", "cells", "cells_of", "draw_suite", "shuffled"]
+
+CELL = {"test": 500, "val": 100}
+"""Scenarios of a cell."""
+ROOT_SEED = 2112_00360
+_DOMAIN = 0
+_SPLITS = {"test": 0, "val": 1}
+_REDRAWS = 50
+_CHUNK = 20
+TRIES = 200
+"""Actions that are tried on a scenario before it counts as one that cannot be solved."""
+
+
+class Cell(NamedTuple):
+    """One axis at one level, in one task."""
+
+    task: str
+    axis: str
+    level: int
+
+
+class Varied(NamedTuple):
+    """A scenario of a cell, and how often it was drawn again."""
+
+    scenario: Scenario
+    redrawn: int
+
+
+def cells(task: str) -> list[Cell]:
+    """The cells of a task, axis after axis."""
+    return [
+        Cell(task, axis.name, level)
+        for axis in AXES.values()
+        if task in axis.tasks
+        for level in range(1, len(axis.levels) + 1)
+    ]
+
+
+def cells_of(listed: ScenarioList) -> dict[Cell, list[int]]:
+    """The indices of the scenarios of every cell of a suite's list; empty for a clean list."""
+    found: dict[Cell, list[int]] = {}
+    for scenario in listed.scenarios:
+        if scenario.variation is not None:
+            key = Cell(listed.task, scenario.variation.axis, scenario.variation.level)
+            found.setdefault(key, []).append(scenario.index)
+    return dict(sorted(found.items(), key=lambda item: (AXES[item[0].axis].number, item[0].level)))
+
+
+def vary(simulator: Simulator, clean: Scenario, cell: Cell) -> Varied:
+    """The scenario of a cell that is made of a clean one: drawn until it can be solved.
+
+    Where what is seen or done is not what is there, the clean scenario can be solved as it is.
+    """
+    axis = AXES[cell.axis]
+    for redrawn in range(_REDRAWS):
+        key = (_DOMAIN, TASK_NUMBERS[cell.task], axis.number, cell.level, _SPLITS[clean.split], clean.index, redrawn)
+        rng = np.random.default_rng(np.random.SeedSequence(ROOT_SEED, spawn_key=key))
+        made = axis.vary(clean, cell.level, Draw(rng, simulator))
+        if made is None:
+            continue
+        variation = made.variation or Variation("", 0, clean.index)
+        made = dataclasses.replace(made, variation=dataclasses.replace(variation, axis=cell.axis, level=cell.level))
+        if axis.noisy or solvable(simulator, made, rng):
+            return Varied(made, redrawn)
+    raise InputError(
+        f"no scenario of {cell.axis}, level {cell.level}, could be made of {cell.task}/{clean.split}/{clean.index}",
+        hint="make the level easier",
+    )
+
+
+def solvable(simulator: Simulator, scenario: Scenario, rng: np.random.Generator) -> bool:
+    """Whether one of ``TRIES`` actions near the objects solves a scenario: a bound from below."""
+    situation = scenario.last_situation()
+    return any(simulator.run(situation, action).success for action in promising(scenario, rng))
+
+
+def promising(scenario: Scenario, rng: np.random.Generator) -> Iterator[int]:
+    """``TRIES`` valid actions: those of the reference policy, then random ones near what it aims at."""
+    situation = scenario.last_situation()
+    kind = kind_of(situation)
+    valid = valid_actions(scenario.task, situation.step).reshape(-1)
+    tried = 0
+    for target in standing(situation):
+        for action in kind.candidates(target, valid, rng, WORLD):
+            if tried < TRIES // 4:
+                tried += 1
+                yield action
+    actions = np.flatnonzero(valid)
+    x, y, _ = grid.to_world(actions)
+    aims = [kind.aim(target) for target in standing(situation)]
+    away = np.min([np.hypot(x - aim_x, y - aim_y) for aim_x, aim_y in aims], axis=0)
+    weights = np.exp(-((away / 0.04) ** 2))
+    chosen = rng.choice(len(actions), size=TRIES - tried, replace=False, p=weights / weights.sum())
+    yield from (int(actions[one]) for one in chosen)
+
+
+def _vary_chunk(job: tuple[Sequence[Scenario], Cell]) -> list[Varied]:
+    clean, cell = job
+    return [vary(process_simulator(), one, cell) for one in clean]
+
+
+def shuffled(count: int, task: str, split: str) -> list[int]:
+    """An order of a list that says nothing about its cells: by hash."""
+    return sorted(range(count), key=lambda n: hashlib.blake2b(f"{task}/{split}/{n}".encode()).digest())
+
+
+def draw_suite(
+    version: str,
+    pool: Executor,
+    tasks: Sequence[str] = tuple(TASKS),
+    size: Mapping[str, int] | None = None,
+    *,
+    progress: Progress | None = None,
+) -> None:
+    """Write the lists of a suite and their manifest, ``manifests/scenarios/VERSION``; a list that is there stays."""
+    sink, manifest = progress or Silent(), manifest_path(version)
+    for task in tasks:
+        for split, count in (size or CELL).items():
+            file = manifest.parent / f"{task}_{split}.parquet"
+            if file.exists():
+                continue
+            drawn: list[Varied] = []
+            clean = load_list(task, split).scenarios
+            jobs = [
+                (clean[start : min(start + _CHUNK, first + count)], cell)
+                for cell in cells(task)
+                for first in (AXES[cell.axis].number * count,)
+                for start in range(first, first + count, _CHUNK)
+            ]
+            sink.phase(f"{task}/{split}", sum(len(scenarios) for scenarios, _ in jobs))
+            for chunk in pool.map(_vary_chunk, jobs):
+                check()
+                drawn += chunk
+                sink.advance(len(chunk))
+            order = shuffled(len(drawn), task, split)
+            scenarios = [dataclasses.replace(drawn[old].scenario, index=new) for new, old in enumerate(order)]
+            update_manifest(
+                manifest,
+                version,
+                f"{task}/{split}",
+                file=file.name,
+                sha256=write_list(file, scenarios),
+                count=len(scenarios),
+                seed_domain=f"{ROOT_SEED}/{split}",
+                redrawn=sum(item.redrawn for item in drawn),
+                parameters=parameters_hash(),
+            )
