@@ -23,12 +23,13 @@ def evaluate(
     policy: str | Path,
     *,
     task: str,
-    episodes: int = 10_000,
+    episodes: int | None = None,
     output: str | Path | None = None,
     checkpoint: str | Path | None = None,
     device: str = "cpu",
     protocol: str = "conditional",
     split: str = "test",
+    suite: str | None = None,
     engine: str = "process",
     workers: int | None = None,
     address: str | None = None,
@@ -45,8 +46,8 @@ def evaluate(
     policy : str or Path
         ``my_policy.py``, ``my_policy.py:ClassName`` or the name of an installed policy.
     task : str
-    episodes : int
-        The first so many scenarios of the list.
+    episodes : int, optional
+        The first so many scenarios of the list; by default 10,000, and all of a suite's.
     output : str or Path, optional
         Run folder; ``runs/POLICY-TASK-PROTOCOL`` by default.
     checkpoint : str or Path, optional
@@ -55,6 +56,8 @@ def evaluate(
         Handed to the policy.
     protocol : {"conditional", "end-to-end"}
     split : {"test", "val"}
+    suite : str, optional
+        A generalisation suite, such as ``hard-v1``: its scenarios in place of the clean ones.
     engine : str
         Where the simulation runs: ``process``, ``inline``, ``ray`` or another installed engine.
     workers : int, optional
@@ -92,10 +95,11 @@ def evaluate(
     from evaluator.policy.loading import resolve, weights_of
     from evaluator.runner import EvaluationConfig, run_evaluation
     from evaluator.runner.shards import RunShard
+    from evaluator.scenarios.suites import suite_length
 
     spec = resolve(str(policy))
     run_shard = None if shard is None else RunShard.parse(shard)
-    name = f"{spec.name}-{task}-{protocol}" + ("" if split == "test" else f"-{split}")
+    name = f"{spec.name}-{task}-{suite or protocol}" + ("" if split == "test" else f"-{split}")
     if run_shard is not None:
         name += f"-shard-{run_shard.number}-of-{run_shard.count}"
     config = EvaluationConfig(
@@ -106,7 +110,8 @@ def evaluate(
         device=device,
         protocol=protocol,
         split=split,
-        episodes=episodes,
+        suite=suite,
+        episodes=episodes or (10_000 if suite is None else suite_length(suite, task, split)),
         engine=engine,
         workers=workers,
         batch_size=batch_size,

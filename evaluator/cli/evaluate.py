@@ -17,7 +17,8 @@ __all__ = ["evaluate"]
 @click.command()
 @click.argument("policy")
 @click.option("--task", required=True, type=click.Choice(list(TASKS)), help="What has to be done.")
-@click.option("--episodes", type=click.IntRange(min=1), default=10_000, show_default=True, help="First N scenarios.")
+@click.option("--episodes", type=click.IntRange(min=1), help="First N scenarios.  [default: 10000; of a suite all]")
+@click.option("--suite", metavar="hard-v1", help="Play a generalisation suite in place of the clean scenarios.")
 @policy_options
 @engine_options
 @click.option("--shard", metavar="I/N", help="Play this shard of the scenarios; `rema merge` merges them.")
@@ -47,4 +48,10 @@ def evaluate(policy: str, as_json: bool, **options: Any) -> None:
 
     with StderrProgress() as progress:
         result = run(policy, progress=progress, **options)
-    print_result(result.summary, result.folder, as_json)
+    score = None
+    if options["suite"] is not None:
+        from evaluator.run.cells import score as score_of
+        from evaluator.run.reading import read_run
+
+        score = score_of(read_run(result.folder))
+    print_result(result.summary, result.folder, as_json, score)

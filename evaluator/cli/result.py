@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.text import Text
 
 from evaluator.cli.output import console, line, plain, print_facts, print_json, print_table
-from evaluator.statistics import format_rate
+from evaluator.statistics import format_interval, format_rate, percent
+
+if TYPE_CHECKING:
+    from evaluator.run.cells import CellScore, SuiteScore
 
 __all__ = ["audit_texts", "print_result"]
 
@@ -17,16 +21,51 @@ _BAR_WIDTH = 30
 _PHASES = ("observe", "infer", "simulate", "audit")
 
 
-def print_result(summary: dict[str, Any], folder: Path, as_json: bool) -> None:
-    """Print the summary of a run on stdout: as a JSON object alone, or as tables for people."""
+def print_result(summary: dict[str, Any], folder: Path, as_json: bool, score: SuiteScore | None = None) -> None:
+    """Print the summary of a run on stdout: as a JSON object alone, or as tables for people.
+
+    A run over a suite has a ``score``.
+    """
     if as_json:
-        print_json(summary)
+        print_json(summary if score is None else {**summary, "suite": asdict(score)})
         return
     print_facts(_facts(summary))
     if summary["failures"]:
         _print_failures(summary)
+    if score is not None:
+        print_score(score)
     line(_seconds(summary))
     line(f"run folder: {folder} (`rema replay` checks it)")
+
+
+def print_score(score: SuiteScore) -> None:
+    """Print the rates of a suite by axis and level, in %."""
+    most = max(len(axis.cells) for axis in score.axes)
+    levels = tuple(f"level {number}" for number in range(1, most + 1))
+    rows = [
+        (
+            axis.name if axis.counts else f"({axis.name})",
+            *(_cell_text(cell) for cell in axis.cells),
+            *("",) * (most - len(axis.cells)),
+            _mean(axis.mean, axis.interval),
+        )
+        for axis in score.axes
+    ]
+    print_table(("axis", *levels, "mean [95 %]"), rows, right=(*levels, "mean [95 %]"))
+    if score.hard is None:
+        line("hard: needs every scenario of every axis")
+    else:
+        line(f"hard: {_mean(score.hard, score.interval)}, the mean of the axes; those in brackets do not count")
+
+
+def _mean(mean: float | None, interval: tuple[float, float] | None) -> str:
+    return "" if mean is None or interval is None else f"{percent(mean)} [{format_interval(interval)}]"
+
+
+def _cell_text(cell: CellScore) -> str:
+    if cell.rate is not None:
+        return percent(cell.rate)
+    return f"{cell.successes} of {cell.measured}/{cell.of}" if cell.measured else ""
 
 
 def _facts(summary: dict[str, Any]) -> Iterator[tuple[str, str | Text]]:

@@ -32,6 +32,8 @@ __all__ = ["scenarios"]
     type=click.Choice(list(TASKS)),
     help="Tasks whose present lists are named again (repeatable).",
 )
+@click.option("--suite", "is_suite", is_flag=True, help="Draw the cells of a generalisation suite of that name.")
+@click.option("--cell", "cell_counts", nargs=2, type=int, metavar="TEST VAL", help="Scenarios of a cell of a suite.")
 @workers_option
 def scenarios(
     version: str,
@@ -42,6 +44,8 @@ def scenarios(
     checkpoint: Path | None,
     device: str,
     keep: tuple[str, ...],
+    is_suite: bool,
+    cell_counts: tuple[int, int] | None,
     workers: int | None,
 ) -> None:
     """Draw scenario lists under manifests/scenarios/VERSION. A list that its manifest names is never changed.
@@ -62,6 +66,13 @@ def scenarios(
     from rema_data.storage import rema_home
 
     processes = workers or default_workers()
+    if is_suite:
+        from evaluator.scenarios.suite import CELL, draw_suite
+
+        size = dict(zip(CELL, cell_counts, strict=True)) if cell_counts else None
+        with StderrProgress() as progress, process_pool(processes) as pool:
+            line(str(draw_suite(version, pool, tasks or tuple(TASKS), size, progress=progress)))
+        return
     opened: AbstractContextManager[Picker | None] = nullcontext()
     if picker is not None:
         spec = resolve(picker)

@@ -9,14 +9,17 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from evaluator.scenarios.axes import AXES, Draw
 from evaluator.scenarios.lists import ScenarioList, load_list, manifest_path, update_manifest, write_list
+from evaluator.scenarios.suites import SUITE
 from evaluator.sim.kinds import kind_of
 from evaluator.sim.parameters import WORLD, parameters_hash
 from evaluator.sim.reach import valid_actions
@@ -27,6 +30,7 @@ from rema_data.errors import InputError
 from rema_data.interrupts import check
 from rema_data.progress import Progress, Silent
 from rema_data.schema import TASK_NUMBERS, TASKS, Scenario
+from rema_data.storage import write_atomic
 from rema_data.variation import Variation
 
 __all__ = ["CELL", "Cell", "cells", "cells_of", "draw_suite", "shuffled"]
@@ -142,9 +146,19 @@ def draw_suite(
     size: Mapping[str, int] | None = None,
     *,
     progress: Progress | None = None,
-) -> None:
-    """Write the lists of a suite and their manifest, ``manifests/scenarios/VERSION``; a list that is there stays."""
+) -> Path:
+    """Write the lists of a suite and their manifest, ``manifests/scenarios/VERSION``; a list that is there stays.
+
+    ``size`` has the scenarios of a cell in each split, by default ``CELL``. Returns the manifest's path.
+    """
     sink, manifest = progress or Silent(), manifest_path(version)
+    if not manifest.exists():
+        axes = {
+            axis.name: {"title": axis.title, "levels": axis.levels, "tasks": axis.tasks, "counts": axis.counts}
+            for axis in AXES.values()
+        }
+        manifest.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(manifest, json.dumps({"version": version, SUITE: axes, "lists": {}}, indent=2) + "\n")
     for task in tasks:
         for split, count in (size or CELL).items():
             file = manifest.parent / f"{task}_{split}.parquet"
@@ -176,3 +190,4 @@ def draw_suite(
                 redrawn=sum(item.redrawn for item in drawn),
                 parameters=parameters_hash(),
             )
+    return manifest
