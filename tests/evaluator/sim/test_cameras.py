@@ -15,7 +15,7 @@ from evaluator.sim.shapes import boxes
 from evaluator.sim.spawn import draw_placement, draw_spec
 from evaluator.sim.world import World
 from rema_data import grid
-from rema_data.schema import TASKS, Grip, ObjectSpec, Pinch, Placement, Shape, Situation
+from rema_data.schema import SEED_SHAPES, TASKS, Grip, ObjectSpec, Pinch, Placement, Shape, Situation
 from tests.evaluator.sim.cameras import capture_end_effector, capture_scene, point_cloud, scene_camera
 
 Array = npt.NDArray[Any]
@@ -118,7 +118,11 @@ def test_one_camera_sees_the_painted_scene() -> None:
         spec = ObjectSpec(shape, 0.11, 0.03, 0.0 if shape is Shape.I else 0.09, 0.03)
         x, y, yaw = rng.uniform(-0.08, 0.08), rng.uniform(-0.08, 0.08), rng.uniform(0, 2 * math.pi)
         situation = Situation("grasp", 0, Placement(spec, float(x), float(y), float(yaw)))
-        assert_same(capture_scene(situation), observe(situation).scene)
+        seen, painted = capture_scene(situation), observe(situation).scene
+        if shape in SEED_SHAPES:
+            assert_same(seen, painted)
+        else:  # one camera does not see the ground behind a wall, inside of the shape
+            assert not ((painted > 0) & ~near(seen > 0)).any()
 
 
 def test_reprojection_finds_a_box_to_a_millimetre() -> None:

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from evaluator.scenarios.axes.objects import reshaped
 from evaluator.sim.footprints import inner_extents
 from evaluator.sim.kinds import KINDS
 from evaluator.sim.motion import profile
@@ -23,8 +24,14 @@ from rema_data import grid
 from rema_data.schema import HEIGHT_STEP_M, SEED_SHAPES, TASKS, Grip, ObjectSpec, Placement, Shape, Situation
 from tests.evaluator.sim.conftest import BAR, ELL, HEIGHT, STICK, TEE, held
 
+
+def spec_of(shape: Shape, length_m: float, width_m: float) -> ObjectSpec:
+    spec = ObjectSpec(shape, length_m, width_m, 0.0 if shape is Shape.I else 0.9 * length_m, HEIGHT)
+    return spec if shape in SEED_SHAPES else reshaped(spec, shape)
+
+
 specs = st.builds(
-    lambda shape, length, width: ObjectSpec(shape, length, width, 0.0 if shape is Shape.I else 0.9 * length, HEIGHT),
+    spec_of,
     st.sampled_from(Shape),
     st.floats(0.07, 0.14),
     st.floats(0.02, 0.045),
@@ -63,7 +70,9 @@ def test_inertia_against_a_cloud_of_points(spec: ObjectSpec) -> None:
     total = np.zeros(3)
     for box in boxes(spec):
         u = (np.arange(n) + 0.5) / n * 2 - 1
-        x, y, z = np.meshgrid(box.x + u * box.half_x, box.y + u * box.half_y, u * spec.height_m / 2, indexing="ij")
+        along, across, z = np.meshgrid(u * box.half_x, u * box.half_y, u * spec.height_m / 2, indexing="ij")
+        x = box.x + math.cos(box.yaw) * along - math.sin(box.yaw) * across
+        y = box.y + math.sin(box.yaw) * along + math.cos(box.yaw) * across
         weight = 4 * box.half_x * box.half_y * spec.height_m * 500 / n**3
         total += weight * np.array([(y**2 + z**2).sum(), (x**2 + z**2).sum(), (x**2 + y**2).sum()])
     assert inertia_kg_m2(spec, 500) == pytest.approx(total, rel=2e-3)
