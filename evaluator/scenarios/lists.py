@@ -318,12 +318,13 @@ def _scenarios(table: pa.Table, task: str, split: str) -> tuple[Scenario, ...]:
     held = {prefix: read(prefix, kind) for prefix, kind in _groups(task).items()}
     steps = len(TASKS[task])
     pinches = held.pop("pinch", [None] * table.num_rows)
-    variations = [variation_from_dict(json.loads(text)) for text in columns.get(_VARIATION, ())]
+    texts: list[str | None] = columns.get(_VARIATION, [None] * table.num_rows)
+    variations = [None if text is None else variation_from_dict(json.loads(text)) for text in texts]
     rows = zip(
         columns["index"],
         zip(*held.values(), strict=True),
         pinches,
-        variations or [None] * table.num_rows,
+        variations,
         strict=True,
     )
     return tuple(

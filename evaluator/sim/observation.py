@@ -14,6 +14,7 @@ import numpy as np
 from evaluator.sim.kinds import kind_of
 from evaluator.sim.parameters import WORLD, WorldParameters
 from evaluator.sim.planar import paint
+from evaluator.sim.sense import sensed
 from evaluator.sim.shapes import footprint
 from evaluator.sim.staging import Part
 from evaluator.sim.varied import parameters_of, standing
@@ -47,8 +48,6 @@ def observe(situation: Situation, parameters: WorldParameters = WORLD) -> Observ
     seen = Observation(scene, depth, mask)
     if situation.variation is None or situation.variation.sense is None:
         return seen
-    from evaluator.sim.sense import sensed  # scipy.ndimage is loaded for maps with faults only
-
     return sensed(seen, situation.variation.sense)
 
 

@@ -7,19 +7,19 @@ from the seed of the scenario, with counters instead of a state, and rounded to 
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 from rema_data.schema import HEIGHT_STEP_M, Observation
 from rema_data.variation import Sense
 
 __all__ = ["sensed"]
 
-SHARED_PIXELS = 2.0
-"""Width of the error that neighbours share, standard deviation in pixels."""
+SHARED_PIXELS = 4
+"""Distance of the points between which an error that neighbours share is interpolated."""
 SHARED = 0.5
 """Part of the variance that neighbours share."""
 EDGE_M = 0.005
@@ -41,34 +41,60 @@ def sensed(observation: Observation, sense: Sense) -> Observation:
 
 def _seen(heights: Array, sense: Sense, stream: int) -> Array:
     rng = np.random.Generator(np.random.Philox(key=[sense.seed, stream]))
-    seen = heights.astype(np.float64)
+    seen = heights.astype(np.float32)
     if sense.block > 1:
         seen = _averaged(seen, sense.block)
     if sense.edges:
         seen = _edges(seen, sense.edges, rng)
     if sense.noise_m:
-        sigma = sense.noise_m / HEIGHT_STEP_M
-        own = rng.standard_normal(seen.shape)
-        shared = gaussian_filter(rng.standard_normal(seen.shape), SHARED_PIXELS, mode="nearest")
-        shared *= 2 * SHARED_PIXELS * np.sqrt(np.pi)  # a filtered map has this much less than unit variance
-        seen = seen + sigma * (np.sqrt(1 - SHARED) * own + np.sqrt(SHARED) * shared)
+        seen += _noise(len(seen), rng) * np.float32(sense.noise_m / HEIGHT_STEP_M)
     rounded: Array = np.clip(np.rint(seen), 0, _HIGHEST).astype(np.uint16)
     return rounded
 
 
 def _averaged(heights: Array, block: int) -> Array:
     """Means of blocks of pixels, at the size of the map; the last blocks may be cut."""
-    pixels = -(-heights.shape[0] // block) * block
-    padded = np.pad(heights, (0, pixels - heights.shape[0]), mode="edge")
-    means = padded.reshape(pixels // block, block, pixels // block, block).mean(axis=(1, 3))
-    whole: Array = means.repeat(block, 0).repeat(block, 1)[: heights.shape[0], : heights.shape[1]]
+    pixels = -(-len(heights) // block)
+    padded = np.pad(heights, (0, pixels * block - len(heights)), mode="edge")
+    means = padded.reshape(pixels, block, pixels, block).mean(axis=(1, 3))
+    whole: Array = means.repeat(block, 0).repeat(block, 1)[: len(heights), : len(heights)]
     return whole
 
 
 def _edges(heights: Array, share: float, rng: np.random.Generator) -> Array:
     """Of a share of the pixels at edges, half are lost and half fly somewhere between the heights around them."""
-    high, low = maximum_filter(heights, 3, mode="nearest"), minimum_filter(heights, 3, mode="nearest")
-    hit = (high - low > EDGE_M / HEIGHT_STEP_M) & (rng.random(heights.shape) < share)
-    between = low + rng.random(heights.shape) * (high - low)
-    lost = rng.random(heights.shape) < 0.5
-    return np.where(hit, np.where(lost, 0.0, between), heights)
+    low, high = _around(heights, np.minimum), _around(heights, np.maximum)
+    edge = np.flatnonzero(high - low > EDGE_M / HEIGHT_STEP_M)
+    hit = edge[rng.random(len(edge), np.float32) < share]
+    lost, place = rng.random((2, len(hit)), np.float32)
+    seen, low, high = heights.ravel().copy(), low.ravel()[hit], high.ravel()[hit]
+    seen[hit] = np.where(lost < 0.5, 0, low + place * (high - low))
+    return seen.reshape(heights.shape)
+
+
+def _around(heights: Array, extreme: np.ufunc) -> Array:
+    """The lowest or highest of each pixel and its eight neighbours."""
+    padded = np.pad(heights, 1, mode="edge")
+    rows = extreme(extreme(padded[:-2], padded[1:-1]), padded[2:])
+    found: Array = extreme(extreme(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:])
+    return found
+
+
+def _noise(pixels: int, rng: np.random.Generator) -> Array:
+    """Errors of unit variance, float32 (pixels, pixels): every pixel's own, and one that neighbours share."""
+    between = _interpolation(pixels)
+    points = between.shape[1]
+    shared = between @ rng.standard_normal((points, points), np.float32) @ between.T
+    own = rng.standard_normal((pixels, pixels), np.float32)
+    mixed: Array = np.float32((1 - SHARED) ** 0.5) * own + np.float32(SHARED**0.5) * shared
+    return mixed
+
+
+@cache
+def _interpolation(pixels: int) -> Array:
+    """Weights of points ``SHARED_PIXELS`` apart, linear, float32 (pixels, points); each row has unit length."""
+    at = np.arange(pixels) / SHARED_PIXELS
+    points = np.arange(pixels // SHARED_PIXELS + 2)
+    weights = np.clip(1 - np.abs(at[:, None] - points), 0, 1)
+    unit: Array = (weights / np.linalg.norm(weights, axis=1, keepdims=True)).astype(np.float32)
+    return unit

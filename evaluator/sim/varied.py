@@ -26,7 +26,7 @@ def parameters_of(situation: Situation, p: WorldParameters = WORLD) -> WorldPara
 
 @lru_cache(maxsize=256)
 def _replaced(p: WorldParameters, changes: tuple[tuple[str, float], ...]) -> WorldParameters:
-    return dataclasses.replace(p, **dict(changes)) if changes else p
+    return dataclasses.replace(p, **dict(changes)) if changes else p  # type: ignore[arg-type]
 
 
 def executed(situation: Situation, pose: Pose) -> Pose:

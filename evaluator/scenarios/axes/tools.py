@@ -58,7 +58,9 @@ class Tools(Axis):
         task, steps = scenario.task, TASKS[scenario.task]
         two_arms = any(kind.embodiment.two_arms for kind in steps)
         change = (_TWO_HANDS if two_arms else _ONE_HAND)[level - 1]
-        placements, grips, pinch = list(scenario.placements), (), None
+        placements = list(scenario.placements)
+        grips: tuple[Grip, ...] = ()
+        pinch: Pinch | None = None
         for step, kind in enumerate(steps[:-1]):
             if kind.makes == "tool":
                 placements[step] = dataclasses.replace(placements[step], spec=change(placements[step].spec, draw.rng))
