@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from evaluator.cli.output import line, print_table, styled
 from evaluator.leaderboard import Board, Row
 from evaluator.leaderboard.export import COLUMNS, cells, titled_groups
+from evaluator.leaderboard.suite_tables import SuiteTable
 
-__all__ = ["print_board"]
+__all__ = ["print_board", "print_suite"]
 
 _STYLES = {"published": "dim", "privileged": "magenta", "simulator": "magenta", "random": "blue"}
 _IN_TITLE = ("task", "protocol")
 _NUMBERS = ("rank", "k/n", "rate %", "z")
-_OPTIONAL = ("failures", "sandbox", "errors", "funnel %", "z", "end-to-end %", "rank", "tag", "ties")
+_OPTIONAL = ("failures", "sandbox", "errors", "funnel %", "z", "hard %", "end-to-end %", "rank", "tag", "ties")
 """Columns that a narrow terminal does without, the first one first."""
 _LOUD = ("ANOTHER SIMULATOR", "LEFT OUT", "NOT VERIFIED")
 
@@ -31,6 +32,16 @@ def print_board(board: Board) -> None:
         line(f"no room for all of: {missing}; a wider terminal or --export md shows them", "dim")
     for remark in board.remarks:
         line(remark, "bold red" if remark.startswith(_LOUD) else "dim")
+
+
+def print_suite(tables: Sequence[SuiteTable]) -> None:
+    """Print the tables of a suite on stdout."""
+    if not tables:
+        line("nothing was played over this suite: rema evaluate POLICY --suite hard-v1")
+    for table in tables:
+        right = tuple(name for name in table.header if name not in ("policy", "tag", "ties", "worst axis"))
+        optional = ("tag", "worst axis", "kept %", "ties", "rank", "clean %")
+        print_table(table.header, table.lines, title=table.title, right=right, optional=optional)
 
 
 def _print_group(title: str, rows: Sequence[Row]) -> set[str]:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from evaluator.cli.options import json_option
 from evaluator.cli.output import note
 from rema_data.errors import InputError, MissingFileError
+
+if TYPE_CHECKING:
+    from evaluator.leaderboard import Board
 
 __all__ = ["leaderboard"]
 
@@ -18,6 +22,7 @@ __all__ = ["leaderboard"]
 @click.option(
     "--export", "form", type=click.Choice(["md", "html", "tex", "csv", "json"]), help="Print this format instead."
 )
+@click.option("--suite", metavar="hard-v1", help="The table of a generalisation suite, by axis.")
 @json_option
 @click.option("--entries/--no-entries", default=True, help="The entries that come with rema too.  [default: yes]")
 @click.option("--published/--no-published", default=True, help="The paper's rows too.  [default: yes]")
@@ -26,7 +31,14 @@ __all__ = ["leaderboard"]
     "--record", is_flag=True, help="Simulate each of RUNS, entries in manifests/leaderboard, and write its record."
 )
 def leaderboard(
-    runs: tuple[Path, ...], form: str | None, as_json: bool, entries: bool, published: bool, verify: bool, record: bool
+    runs: tuple[Path, ...],
+    form: str | None,
+    suite: str | None,
+    as_json: bool,
+    entries: bool,
+    published: bool,
+    verify: bool,
+    record: bool,
 ) -> None:
     """Compare RUNS in one table, with 95 % intervals and letters for those without a significant difference.
 
@@ -43,7 +55,9 @@ def leaderboard(
         _record(runs)
     with StderrProgress() as progress:
         board = make_board(runs or None, entries=entries, published=published, verify=verify, progress=progress)
-    if as_json or form:
+    if suite is not None:
+        _print_suite(board, suite, "json" if as_json else form)
+    elif as_json or form:
         click.echo(export(board, "json" if as_json else str(form)), nl=False)
     else:
         from evaluator.cli.board import print_board
@@ -52,6 +66,18 @@ def leaderboard(
     for error in board.refused:
         if not isinstance(error, MissingFileError):
             raise error
+
+
+def _print_suite(board: Board, suite: str, form: str | None) -> None:
+    from evaluator.cli.board import print_suite
+    from evaluator.leaderboard.suite_tables import SUITE_FORMATS, suite_tables
+
+    if form is None:
+        print_suite(suite_tables(board, suite))
+    elif form in SUITE_FORMATS:
+        click.echo(SUITE_FORMATS[form](board, suite), nl=False)
+    else:
+        raise InputError(f"a suite is not shown as {form}", hint=f"choose one of: {', '.join(SUITE_FORMATS)}")
 
 
 def _record(entries: tuple[Path, ...]) -> None:

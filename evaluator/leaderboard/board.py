@@ -12,6 +12,7 @@ from evaluator.leaderboard.copies import in_order, once
 from evaluator.leaderboard.naming import PUBLISHED
 from evaluator.leaderboard.ranking import LEVEL, Pair, rank_runs
 from evaluator.leaderboard.row import Row, published_rows, row_of
+from evaluator.leaderboard.suites import SuiteRow, suite_rows
 from evaluator.leaderboard.verification import NOT_SIMULATED, known, records, verify
 from evaluator.rollout.backend import Backend
 from evaluator.run.reading import read_run
@@ -39,6 +40,7 @@ class Board:
     rows: tuple[Row, ...]
     remarks: tuple[str, ...]  # what the rows mean, and which of them do not compare
     refused: tuple[RemaError, ...] = ()  # why a source is not among the rows; each is a remark as well
+    suites: tuple[SuiteRow, ...] = ()  # runs over generalisation suites, by ``hard``
 
 
 def leaderboard(
@@ -66,15 +68,24 @@ def leaderboard(
             return run  # of another list or protocol: it has no rank in any case
 
     read, refused = _read(sources, settled, backend)
-    runs, copies = once(in_order(read, records()))
+    everything, copies = once(in_order(read, records()))
+    runs = [run for run in everything if not run.suite]
     standings, pairs = rank_runs(runs)
+    conditional = {_policy(run): run.counts.rate for run in runs if run.has_counts and not run.end_to_end}
+    hardened = suite_rows([run for run in everything if run.suite], conditional)
+    hard = {(row.task, row.policy_digest): row.score.hard for row in reversed(hardened) if not row.unranked}
     whole = {
         _policy(run): run.counts.rate
         for run, standing in zip(runs, standings, strict=True)
         if run.end_to_end and not standing.unranked
     }
     rows = [
-        row_of(run, **asdict(standing), end_to_end=None if run.end_to_end else whole.get(_policy(run)))
+        row_of(
+            run,
+            **asdict(standing),
+            end_to_end=None if run.end_to_end else whole.get(_policy(run)),
+            hard=None if run.end_to_end else hard.get(_policy(run)),
+        )
         for run, standing in zip(runs, standings, strict=True)
     ]
     if published:
@@ -87,7 +98,7 @@ def leaderboard(
         for copy, first in copies
         if (copy.policy, copy.provenance.policy_digest) != (first.policy, first.provenance.policy_digest)
     ]
-    return Board(tuple(rows), (*left_out, *shown_once, *_remarks(rows, pairs)), refused)
+    return Board(tuple(rows), (*left_out, *shown_once, *_remarks(rows, pairs)), refused, tuple(hardened))
 
 
 def _read(

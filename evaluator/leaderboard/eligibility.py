@@ -1,4 +1,4 @@
-"""The conditions of a rank: the full frozen test list, the current protocol, a name of its own, simulated results."""
+"""The conditions of a rank: a full frozen test list, the current protocol, a name of its own, simulated results."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from evaluator.leaderboard.verification import why_not
 from evaluator.protocol import ACTION_FLIP_LIMIT, FAULT_LIMIT, INFRA_LIMIT, protocol_hash
 from evaluator.run.counts import Counts
 from evaluator.run.run import Run
-from evaluator.scenarios import SPLITS, installed_list
+from evaluator.scenarios import SPLITS, VERSION, installed_list
 
 __all__ = ["Check", "obstacles", "rank_checks"]
 
@@ -32,7 +32,7 @@ def rank_checks(run: Run) -> list[Check]:
     An entry holds no results and no audit: what they would have to be is not among its conditions.
     """
     episodes, test, hashes = len(run.actions) if run.has_actions else run.counts.episodes, SPLITS[0], run.provenance
-    sha256, count = installed_list(run.task, test) or ("", 0)
+    sha256, count = installed_list(run.task, test, run.suite or VERSION) or ("", 0)
     same_list = bool(sha256) and hashes.scenarios_hash == sha256
     ours, problem = protocol_hash(run.task, run.protocol), name_problem(run)
     return [

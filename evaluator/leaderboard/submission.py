@@ -114,7 +114,7 @@ def _checks(run: Run) -> Iterator[Check]:
         yield Check(f"run.json {name}", bool(_SHA256.fullmatch(noted)), "a sha256", noted[:_SHOWN] or "missing")
     simulator = ", ".join(f"{name} {value}" for name, value in run.provenance.fingerprint.items())
     yield Check("run.json fingerprint", bool(simulator), "that of the simulator", simulator[:_SHOWN] or "missing")
-    first = f"{VERSION}/{run.task}/{run.split}/"
+    first = f"{run.suite or VERSION}/{run.task}/{run.split}/"
     names = run.table["scenario"].to_pylist()
     wrong = next((f"row {row} is {name}" for row, name in enumerate(names) if name != f"{first}{row:05d}"), "")
     yield Check(f"{RESULTS_FILE} scenario", not wrong, f"{first}00000 and so on", wrong or "ok")

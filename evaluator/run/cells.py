@@ -15,13 +15,14 @@ import numpy.typing as npt
 from evaluator.run.plan import find_list
 from evaluator.run.run import Run
 from evaluator.scenarios.axes import AXES
-from evaluator.scenarios.suite import cells_of
+from evaluator.scenarios.suite import Cell, cells_of
 from rema_data.errors import InputError
 
-__all__ = ["AxisScore", "CellScore", "SuiteScore", "score"]
+__all__ = ["AxisScore", "CellScore", "Solved", "SuiteScore", "score", "solved"]
 
 RESAMPLES = 10_000
 _LEVELS = (2.5, 97.5)
+Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,53 +64,82 @@ class SuiteScore:
     @property
     def worst(self) -> AxisScore | None:
         """The axis with the lowest mean, of those that count."""
-        return min(
-            (axis for axis in self.axes if axis.counts and axis.mean is not None),
-            key=lambda axis: axis.mean or 0.0,
-            default=None,
-        )
+        found = [axis for axis in self.axes if axis.counts and axis.mean is not None]
+        return min(found, key=lambda axis: axis.mean or 0.0, default=None)
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """What a run solved of a suite: by axis, the share of the levels solved for every clean scenario; or None."""
+
+    axes: dict[str, Floats | None]
+
+    @property
+    def whole(self) -> bool:
+        """Whether every scenario of the axes that count was measured."""
+        return all(self.axes[name] is not None for name in self.counting)
+
+    @property
+    def counting(self) -> list[str]:
+        """The axes whose mean is ``hard``."""
+        return [name for name in self.axes if AXES[name].counts]
+
+    def drawn_again(self, name: str, rng: np.random.Generator) -> Floats:
+        """Means of an axis over clean scenarios that are drawn again, float (resamples,)."""
+        shares = self.axes[name]
+        assert shares is not None
+        means: Floats = shares[rng.integers(len(shares), size=(RESAMPLES, len(shares)))].mean(axis=1)
+        return means
+
+    def hard_again(self, seed: int) -> Floats:
+        """``hard`` over clean scenarios that are drawn again: the same ones for every run with one seed."""
+        rng = np.random.default_rng(seed)
+        means: Floats = np.mean([self.drawn_again(name, rng) for name in self.counting], axis=0)
+        return means
+
+
+def solved(run: Run) -> tuple[Solved, dict[Cell, CellScore], str]:
+    """What a run solved, the counts of every cell, and the suite; InputError for a run over clean scenarios."""
+    success, measured = run.outcomes.success, run.outcomes.eligible
+    listed = find_list(run.task, run.split, run.provenance.scenarios_hash, measured.size)
+    cells = cells_of(listed)
+    if not cells:
+        raise InputError(f"{run.source} was not played over a suite", hint="rema evaluate POLICY --suite hard-v1")
+    beyond = np.zeros(len(listed.scenarios) - measured.size, bool)  # scenarios that a short run did not play
+    success, measured = np.append(success & measured, beyond), np.append(measured, beyond)
+    base = np.array([one.variation.base if one.variation else -1 for one in listed.scenarios])
+    counts = {
+        cell: CellScore(cell.level, int(success[rows].sum()), int(measured[rows].sum()), len(rows))
+        for cell, rows in cells.items()
+    }
+    axes: dict[str, Floats | None] = {}
+    for name in dict.fromkeys(cell.axis for cell in cells):
+        own = [np.array(rows) for cell, rows in cells.items() if cell.axis == name]
+        whole = all(measured[rows].all() for rows in own)
+        axes[name] = np.mean([success[rows[np.argsort(base[rows])]] for rows in own], axis=0) if whole else None
+    return Solved(axes), counts, listed.version
 
 
 def score(run: Run, *, seed: int = 0) -> SuiteScore:
     """The score of a run over a suite; InputError for a run over clean scenarios."""
-    listed = find_list(run.task, run.split, run.provenance.scenarios_hash, run.outcomes.eligible.size)
-    cells = cells_of(listed)
-    if not cells:
-        raise InputError(f"{run.source} was not played over a suite", hint="rema evaluate POLICY --suite hard-v1")
-    base = np.array([one.variation.base if one.variation else -1 for one in listed.scenarios])
-    success, measured = np.zeros(len(base), bool), np.zeros(len(base), bool)
-    played = run.outcomes.eligible.size
-    success[:played], measured[:played] = run.outcomes.success, run.outcomes.eligible
+    found, counts, suite = solved(run)
     rng = np.random.default_rng(seed)
-    axes: list[AxisScore] = []
-    drawn: list[npt.NDArray[np.float64]] = []
-    for name in dict.fromkeys(cell.axis for cell in cells):
-        own = {cell.level: np.array(rows) for cell, rows in cells.items() if cell.axis == name}
-        scores = tuple(
-            CellScore(level, int((success & measured)[rows].sum()), int(measured[rows].sum()), len(rows))
-            for level, rows in own.items()
+    axes = tuple(
+        AxisScore(
+            name,
+            AXES[name].counts,
+            tuple(one for cell, one in counts.items() if cell.axis == name),
+            None if shares is None else float(shares.mean()),
+            None if shares is None else _interval(found.drawn_again(name, rng)),
         )
-        mean, means = None, None
-        if all(one.rate is not None for one in scores):
-            mean = float(np.mean([one.rate for one in scores]))
-            by_base = np.mean([success[rows[np.argsort(base[rows])]] for rows in own.values()], axis=0)
-            means = by_base[rng.integers(len(by_base), size=(RESAMPLES, len(by_base)))].mean(axis=1)
-            if AXES[name].counts:
-                drawn.append(means)
-        axes.append(AxisScore(name, AXES[name].counts, scores, mean, _interval(means)))
-    counting = [axis.mean for axis in axes if axis.counts]
-    whole = all(mean is not None for mean in counting)
-    return SuiteScore(
-        listed.version,
-        run.task,
-        tuple(axes),
-        float(np.mean([mean for mean in counting if mean is not None])) if whole else None,
-        _interval(np.mean(drawn, axis=0)) if whole else None,
+        for name, shares in found.axes.items()
     )
+    if not found.whole:
+        return SuiteScore(suite, run.task, axes, None, None)
+    hard = float(np.mean([axis.mean for axis in axes if axis.counts]))  # type: ignore[arg-type]
+    return SuiteScore(suite, run.task, axes, hard, _interval(found.hard_again(seed)))
 
 
-def _interval(means: npt.NDArray[np.float64] | None) -> tuple[float, float] | None:
-    if means is None:
-        return None
+def _interval(means: Floats) -> tuple[float, float]:
     low, high = np.percentile(means, _LEVELS)
     return float(low), float(high)

@@ -24,6 +24,7 @@ from evaluator.run.records import ANSWERS, read_journal
 from evaluator.run.seal import results_name
 from evaluator.run.tables import TIMINGS_SCHEMA, first_line
 from evaluator.scenarios.strata import Targets
+from evaluator.scenarios.suites import suite_of
 from rema_data.bounded import parquet_table
 from rema_data.errors import InputError, IntegrityError, MissingFileError
 
@@ -140,6 +141,11 @@ class Run:
     def end_to_end(self) -> bool:
         """Whether the policy did every step."""
         return self.protocol == "end-to-end"
+
+    @cached_property
+    def suite(self) -> str:
+        """The generalisation suite that it was played over; empty for clean scenarios, and lists that are not here."""
+        return suite_of(self.task, self.split, self.provenance.scenarios_hash)
 
     @property
     def counts(self) -> Counts:

@@ -34,10 +34,12 @@ from evaluator.run.records import Answered, Records, Simulated
 from evaluator.run.seal import ACTIONS_FILE, RESULTS_FILE, SUMMARY_FILE, seal_of
 from evaluator.run.summary import summarise
 from evaluator.run.tables import results_table, to_parquet
-from evaluator.scenarios import load_list
+from evaluator.scenarios import load_list, update_manifest, write_list
+from evaluator.scenarios.suite import shuffled
 from rema_data import grid
 from rema_data.errors import RunMismatchError
-from rema_data.schema import Failure, StepOutcome
+from rema_data.schema import Failure, Scenario, StepOutcome
+from rema_data.variation import Variation
 from tests.evaluator.fakes import write_fake_list
 
 EPISODES = 300
@@ -63,6 +65,32 @@ def write_manifests(folder: Path, tasks: tuple[str, ...] = ("grasp", "grasp_push
         (folder / name).write_bytes(content)
     shutil.copytree(MANIFESTS / "published", folder / "published")
     (folder / "leaderboard").mkdir()
+
+
+SUITE_AXES = {"clutter": 3, "shape": 3, "posts": 3}
+"""Axes of the fake suite, the last of which does not count in ``hard``, and their levels."""
+SUITE_BASES = 20
+"""Clean scenarios of every axis of the fake suite."""
+
+
+def write_suite(folder: Path, name: str = "tough-v1", task: str = "grasp") -> list[Scenario]:
+    """A suite below a folder of manifests, made of the fake list there: its scenarios, in the order of the list."""
+    clean = load_list(task).scenarios
+    varied = [
+        dataclasses.replace(clean[base], variation=Variation(axis, level, base))
+        for number, (axis, levels) in enumerate(SUITE_AXES.items())
+        for level in range(1, levels + 1)
+        for base in range(SUITE_BASES * number, SUITE_BASES * (number + 1))
+    ]
+    order = shuffled(len(varied), task, "test")
+    scenarios = [dataclasses.replace(varied[old], index=new) for new, old in enumerate(order)]
+    manifest = folder / "scenarios" / name / "manifest.json"
+    manifest.parent.mkdir(parents=True)
+    manifest.write_text(json.dumps({"version": name, "suite": {}, "lists": {}}))
+    file = manifest.parent / f"{task}_test.parquet"
+    about = {"file": file.name, "sha256": write_list(file, scenarios), "count": len(scenarios), "seed_domain": "x"}
+    update_manifest(manifest, name, f"{task}/test", **about)  # type: ignore[arg-type]
+    return scenarios
 
 
 def use_installation(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,6 +132,7 @@ def write_run(
     task: str = "grasp",
     split: str = "test",
     protocol: str = "conditional",
+    suite: str | None = None,
     policy: str = "my_policy",
     digest: str = "",
     identity: dict[str, Any] | None = None,
@@ -122,6 +151,8 @@ def write_run(
     unplayed : bool (N,), optional
         Episodes of other shards.
     task, split, protocol, policy : str
+    suite : str, optional
+        The suite that it was played over.
     digest : str
         Of the policy; made from its name by default.
     identity : dict, optional
@@ -134,7 +165,7 @@ def write_run(
     steps = acting_steps(task, protocol)
     passed = [success] if isinstance(success, np.ndarray) else list(success)
     count = len(passed[0])
-    scenarios = load_list(task, split)
+    scenarios = load_list(task, split, suite)
     none = np.zeros(count, bool)
     actions = np.random.default_rng(list((policy + digest).encode())).choice(
         np.flatnonzero(_valid()), (count, len(steps))

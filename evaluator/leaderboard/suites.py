@@ -1,0 +1,104 @@
+"""The board of a generalisation suite: policies by ``hard``, the mean of its axes.
+
+Ranked by ``hard`` itself: retention (``hard`` over the clean rate) would reward weak policies. Two policies share a
+letter where the difference of their ``hard`` is not significant: a bootstrap over clean scenarios, the same draws for
+both, adjusted for all pairs of the suite (Holm).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from evaluator.leaderboard.eligibility import obstacles
+from evaluator.run.cells import RESAMPLES, SuiteScore, score, solved
+from evaluator.run.run import Run
+from evaluator.statistics import holm, tie_letters
+
+__all__ = ["SuiteRow", "suite_rows"]
+
+LEVEL = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class SuiteRow:
+    """One policy on one task of a suite."""
+
+    policy: str
+    tag: str
+    suite: str
+    task: str
+    score: SuiteScore
+    clean: float | None  # rate of the same policy over the clean scenarios, where it is on the board
+    rank: int | None
+    ties: str
+    unranked: str  # why it has no rank
+    verified: str
+    policy_digest: str
+    source: str
+
+    @property
+    def retention(self) -> float | None:
+        """``hard`` as a share of the clean rate."""
+        return None if not self.clean or self.score.hard is None else self.score.hard / self.clean
+
+
+def suite_rows(runs: Sequence[Run], clean: Mapping[tuple[str, str], float | None]) -> list[SuiteRow]:
+    """Rows of the runs over suites, best first; ``clean`` has clean rates by task and digest of the policy.
+
+    An entry whose actions were not simulated has no score, and is left out.
+    """
+    known = [run for run in runs if run.suite and run.has_counts]
+    reasons = [next((one.reason for one in obstacles(run)), "") for run in known]
+    ranked = [n for n, reason in enumerate(reasons) if not reason]
+    again = {n: solved(known[n])[0].hard_again(0) for n in ranked}
+    pairs = [
+        (a, b) for a, b in combinations(ranked, 2) if (known[a].task, known[a].suite) == (known[b].task, known[b].suite)
+    ]
+    adjusted = holm([_p(again[a] - again[b]) for a, b in pairs])
+    different = {pair for pair, p in zip(pairs, adjusted, strict=True) if p <= LEVEL}
+    scores = {n: score(run) for n, run in enumerate(known)}
+    order = sorted(range(len(known)), key=lambda n: -(scores[n].hard or -1.0))
+    letters: dict[int, str] = {}
+    for group in {(run.task, run.suite) for run in known}:
+        members = [n for n in order if n in again and (known[n].task, known[n].suite) == group]
+        place = {n: position for position, n in enumerate(members)}
+        apart = {(place[a], place[b]) for a, b in different if a in place}
+        if len(members) > 1:
+            letters |= dict(zip(members, tie_letters(len(members), apart), strict=True))
+    rows = []
+    for n in order:
+        run = known[n]
+        better = [
+            other
+            for pair in different
+            if n in pair
+            for other in pair
+            if other != n and known[other].honest and (scores[other].hard or 0.0) > (scores[n].hard or 0.0)
+        ]
+        rows.append(
+            SuiteRow(
+                run.policy,
+                run.tag,
+                run.suite,
+                run.task,
+                scores[n],
+                clean.get((run.task, run.provenance.policy_digest)),
+                1 + len(better) if n in again and run.honest else None,
+                letters.get(n, ""),
+                reasons[n],
+                run.verified,
+                run.provenance.policy_digest,
+                str(run.source),
+            )
+        )
+    return rows
+
+
+def _p(differences: np.ndarray) -> float:
+    """Two-sided p value of a difference of zero, at least 2 in ``RESAMPLES``."""
+    below, above = float((differences <= 0).mean()), float((differences >= 0).mean())
+    return min(1.0, max(2 * min(below, above), 2 / RESAMPLES))

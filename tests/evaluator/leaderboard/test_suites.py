@@ -1,0 +1,96 @@
+"""The board of a suite: by ``hard``, beside the clean rate, and apart from the clean board."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from evaluator.cli.main import cli
+from evaluator.leaderboard import leaderboard
+from evaluator.leaderboard.suite_tables import suite_tables
+from evaluator.run.reading import read_run
+from rema_data.errors import InputError
+from tests.evaluator.runs import solved, use_installation, write_entry, write_run, write_suite
+
+COUNT = 180
+"""Scenarios of the fake suite."""
+
+
+@pytest.fixture
+def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    """Three policies over the clean list and over the suite."""
+    use_installation(tmp_path, monkeypatch)
+    write_suite(tmp_path / "manifests")
+    made = []
+    for name, clean, hard in (("good", 0.9, 0.8), ("same", 0.95, 0.78), ("poor", 0.6, 0.2)):
+        made.append(write_run(tmp_path / name, solved(clean, len(name)), policy=name))
+        made.append(write_run(tmp_path / f"{name}-hard", solved(hard, 7, COUNT), policy=name, suite="tough-v1"))
+    return made
+
+
+def test_policies_are_ranked_by_hard(runs: list[Path]) -> None:
+    rows = leaderboard(runs, published=False).suites
+    assert [row.policy for row in rows] == ["good", "same", "poor"]
+    assert [row.rank for row in rows] == [1, 1, 3]
+    assert rows[0].ties == rows[1].ties != rows[2].ties
+    assert all(row.unranked == "" and row.suite == "tough-v1" for row in rows)
+    assert rows[0].clean is not None and rows[0].score.hard is not None
+    assert rows[0].retention == pytest.approx(rows[0].score.hard / rows[0].clean)
+
+
+def test_the_clean_board_shows_hard_beside_the_rate_and_is_else_the_same(runs: list[Path]) -> None:
+    clean, both = (leaderboard(some, published=False).rows for some in (runs[::2], runs))
+    assert [row.policy for row in both] == ["same", "good", "poor"]
+    assert [(row.policy, row.rank, row.ties, row.rate) for row in both] == [
+        (row.policy, row.rank, row.ties, row.rate) for row in clean
+    ]
+    assert all(row.hard is None for row in clean)
+    assert [row.hard for row in both] == sorted((row.hard for row in both), reverse=True) or both[0].hard is not None
+
+
+def test_an_entry_of_a_suite_is_a_row_of_its_board(runs: list[Path], tmp_path: Path) -> None:
+    entry = write_entry(tmp_path / "entry.json", runs[1])
+    (row,) = leaderboard([entry], published=False).suites
+    assert row.score == leaderboard([runs[1]], published=False).suites[0].score and row.verified
+
+
+def test_a_part_of_a_suite_has_no_rank(runs: list[Path], tmp_path: Path) -> None:
+    part = write_run(tmp_path / "part", np.ones(50, bool), policy="part", suite="tough-v1")
+    (row,) = (row for row in leaderboard([*runs, part], published=False).suites if row.policy == "part")
+    assert row.rank is None and row.unranked == "50 of 180 scenarios" and row.score.hard is None
+
+
+def test_the_table_by_axis(runs: list[Path]) -> None:
+    (table,) = suite_tables(leaderboard(runs, published=False), "tough-v1")
+    assert table.header[-3:] == ("clutter", "shape", "(posts)")
+    assert [line[0] for line in table.lines] == ["good", "same", "poor"]
+    with pytest.raises(InputError, match="no suite 'soft-v1'"):
+        suite_tables(leaderboard(runs, published=False), "soft-v1")
+
+
+@pytest.mark.parametrize("form", ["md", "csv", "json", None])
+def test_from_the_command_line(runs: list[Path], form: str | None) -> None:
+    options = ["--no-entries", "--no-published", "--suite", "tough-v1"]
+    export = [] if form is None else ["--export", form]
+    done = CliRunner().invoke(cli, ["leaderboard", *map(str, runs), *options, *export])
+    assert done.exit_code == 0, done.output
+    if form == "json":
+        assert [row["policy"] for row in json.loads(done.stdout)["rows"]] == ["good", "same", "poor"]
+    elif form == "csv":
+        assert len(done.stdout.splitlines()) == 1 + 3 * 9
+    else:
+        assert "clutter" in done.stdout and "poor" in done.stdout
+
+
+def test_a_form_that_a_suite_has_not(runs: list[Path]) -> None:
+    arguments = ["leaderboard", str(runs[1]), "--suite", "tough-v1", "--export", "tex"]
+    done = CliRunner().invoke(cli, arguments)
+    assert done.exit_code == 2 and "md, csv, json" in done.stderr
+
+
+def test_a_run_knows_its_suite(runs: list[Path]) -> None:
+    assert (read_run(runs[0]).suite, read_run(runs[1]).suite) == ("", "tough-v1")

@@ -1,0 +1,107 @@
+"""Drawing suites: cells, their order, their scenarios, and what makes them the same again."""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor, ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evaluator.scenarios import load_list
+from evaluator.scenarios.axes import AXES
+from evaluator.scenarios.lists import versions
+from evaluator.scenarios.suite import CELL, Cell, cells, cells_of, draw_suite, shuffled, vary
+from evaluator.scenarios.suites import suite_length, suites
+from evaluator.sim.observation import observe
+from evaluator.sim.simulator import Simulator
+from rema_data.errors import InputError
+from rema_data.schema import TASKS
+
+
+def test_numbers_of_axes_are_their_own_and_leave_room_in_the_lists() -> None:
+    numbers = [axis.number for axis in AXES.values()]
+    assert sorted(numbers) == list(range(len(numbers)))
+    for split, count in CELL.items():
+        assert all(len(load_list(task, split).scenarios) >= len(numbers) * count for task in TASKS)
+
+
+def test_every_cell_is_of_a_task_of_its_axis() -> None:
+    for task in TASKS:
+        found = cells(task)
+        assert {cell.axis for cell in found} == {name for name, axis in AXES.items() if task in axis.tasks}
+        assert len(set(found)) == len(found)
+
+
+@pytest.fixture(scope="module")
+def simulator() -> Simulator:
+    return Simulator()
+
+
+CELLS = [cell for task in ("grasp", "grasp_push") for cell in cells(task) if cell.level == 1]
+
+
+@pytest.mark.parametrize("cell", CELLS, ids=lambda cell: f"{cell.task}-{cell.axis}")
+def test_a_scenario_of_a_cell(simulator: Simulator, cell: Cell) -> None:
+    clean = load_list(cell.task, "val").scenarios[100 * AXES[cell.axis].number]
+    made, again = (vary(simulator, clean, cell).scenario for _ in range(2))
+    assert made == again and made != clean
+    variation = made.variation
+    assert variation is not None
+    assert (variation.axis, variation.level, variation.base) == (cell.axis, 1, clean.index)
+    seen, before = observe(made.last_situation()), observe(clean.last_situation())
+    same = np.array_equal(seen.scene, before.scene) and np.array_equal(seen.depth, before.depth)
+    assert same == (cell.axis in ("register", "act", "physics"))
+
+
+def test_the_order_says_nothing_about_cells() -> None:
+    order = shuffled(1000, "grasp", "test")
+    assert sorted(order) == list(range(1000))
+    assert abs(np.corrcoef(order, np.arange(1000))[0, 1]) < 0.1
+
+
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """Two quick axes, and manifests that may be written to."""
+    here = Path(__file__).parents[3] / "manifests" / "scenarios"
+    (tmp_path / "scenarios").mkdir()
+    for version in ("v1", "v2"):
+        (tmp_path / "scenarios" / version).symlink_to(here / version)
+    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path))
+    monkeypatch.setattr("evaluator.scenarios.suite.AXES", {name: AXES[name] for name in ("sense", "act")})
+    return tmp_path
+
+
+class InThisProcess(Executor):
+    """A pool that is none."""
+
+    def map(self, fn, *iterables, **_):  # type: ignore[no-untyped-def, override]
+        return map(fn, *iterables)
+
+
+def test_a_suite_is_written_once_and_read_back(few: Path) -> None:
+    manifest = draw_suite("tough-v1", InThisProcess(), ["push"], {"test": 3, "val": 2})
+    written = {path.name: path.read_bytes() for path in manifest.parent.iterdir()}
+    draw_suite("tough-v1", InThisProcess(), ["push"], {"test": 3, "val": 2})
+    assert {path.name: path.read_bytes() for path in manifest.parent.iterdir()} == written
+    listed = load_list("push", "test", "tough-v1")
+    found = cells_of(listed)
+    assert list(found) == [Cell("push", axis, level) for axis in ("sense", "act") for level in (1, 2, 3)]
+    assert {len(rows) for rows in found.values()} == {3}
+    assert suites() == ("tough-v1",) and versions()[0] == "v2"
+    assert (suite_length("tough-v1", "push", "test"), suite_length("tough-v1", "push", "val")) == (18, 12)
+    with pytest.raises(InputError, match="no test list of grasp"):
+        suite_length("tough-v1", "grasp", "test")
+    with pytest.raises(InputError, match="no suite 'soft-v1'"):
+        suite_length("soft-v1", "grasp", "test")
+
+
+def test_workers_change_nothing(few: Path) -> None:
+    with ProcessPoolExecutor(2) as pool:
+        one = draw_suite("one", InThisProcess(), ["grasp"], {"val": 2})
+        two = draw_suite("two", pool, ["grasp"], {"val": 2})
+    assert (one.parent / "grasp_val.parquet").read_bytes() == (two.parent / "grasp_val.parquet").read_bytes()
+
+
+def test_a_clean_list_has_no_cells() -> None:
+    assert cells_of(load_list("grasp", "val")) == {}
