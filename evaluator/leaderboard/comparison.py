@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluator.run.run import Run
-from evaluator.scenarios import installed_list
+from evaluator.scenarios import VERSION, installed_list
 from evaluator.scenarios.strata import Targets, strata, targets_of_list
 from evaluator.sim.bullet import decisive
 from evaluator.statistics import (
@@ -183,10 +183,11 @@ def _targets(a: Run, b: Run) -> tuple[Targets | None, str]:
     for run in (a, b):
         if run.kind == "run":
             return run.targets, ""
-    known = installed_list(a.task, a.split)
+    version = a.suite or VERSION
+    known = installed_list(a.task, a.split, version)
     if known is None or known[0] != a.provenance.scenarios_hash:
         return None, "No breakdown: this installation does not have the scenario list of these entries."
-    return targets_of_list(a.task, a.split), ""
+    return targets_of_list(a.task, a.split, version), ""
 
 
 def _stratum_rows(

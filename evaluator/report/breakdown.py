@@ -20,6 +20,7 @@ PLACE_BINS = 7
 RINGS_M = (0.05, 0.10)
 """Distances from the middle at which places are divided."""
 _TITLES = {
+    "cell": "cell of the suite: axis and level",
     "shape": "shape of the target",
     "length": "length of the target's main bar",
     "width": "width of the target's bars",

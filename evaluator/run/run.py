@@ -23,7 +23,7 @@ from evaluator.run.folder import TIMINGS_FILE
 from evaluator.run.records import ANSWERS, read_journal
 from evaluator.run.seal import results_name
 from evaluator.run.tables import TIMINGS_SCHEMA, first_line
-from evaluator.scenarios.strata import Targets
+from evaluator.scenarios.strata import Targets, targets_of_list
 from evaluator.scenarios.suites import suite_of
 from rema_data.bounded import parquet_table
 from rema_data.errors import InputError, IntegrityError, MissingFileError
@@ -213,7 +213,9 @@ class Run:
 
     @property
     def targets(self) -> Targets:
-        """The objects that the last step is about, scenario by scenario."""
+        """The objects that the last step is about, scenario by scenario, and the cells of a suite."""
+        if self.suite:
+            return targets_of_list(self.task, self.split, self.suite).first(self.table.num_rows)
         shape, *numbers = (self.table[f"target_{name}"] for name in ("shape", "length_m", "width_m", "yaw_rad"))
         return Targets(np.array(shape.to_pylist(), str), *(column.to_numpy().astype(np.float64) for column in numbers))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -26,28 +27,31 @@ class Targets:
     length_m: npt.NDArray[np.float64]  # of the main bar, as the next two
     width_m: npt.NDArray[np.float64]
     yaw_rad: npt.NDArray[np.float64]  # in the world frame
+    cell: npt.NDArray[np.str_] | None = None  # of a suite, in words; None for clean scenarios
 
     def first(self, count: int) -> Targets:
         """The first so many."""
-        return Targets(self.shape[:count], self.length_m[:count], self.width_m[:count], self.yaw_rad[:count])
+        columns = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return Targets(**{name: None if column is None else column[:count] for name, column in columns.items()})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stratum:
     """Scenarios that share something."""
 
-    by: str  # shape, length, width or yaw
+    by: str  # cell (of a suite), shape, length, width or yaw
     label: str  # with units
     members: npt.NDArray[np.bool_]  # (N,)
 
 
-def targets_of_list(task: str, split: str) -> Targets:
-    """Targets of a frozen list; errors are those of ``load_list``."""
-    placed = [scenario.placements[-1] for scenario in load_list(task, split).scenarios]
-    columns = zip(
-        *((one.spec.shape.value, one.spec.length_m, one.spec.width_m, one.yaw_rad) for one in placed), strict=True
-    )
-    return Targets(*map(np.array, columns))
+def targets_of_list(task: str, split: str, version: str | None = None) -> Targets:
+    """Targets of a frozen list; arguments and errors are those of ``load_list``."""
+    scenarios = load_list(task, split, version).scenarios
+    placed = [scenario.placements[-1] for scenario in scenarios]
+    rows = ((one.spec.shape.value, one.spec.length_m, one.spec.width_m, one.yaw_rad) for one in placed)
+    shape, length, width, yaw = map(np.array, zip(*rows, strict=True))
+    cells = [f"{one.variation.axis} {one.variation.level}" for one in scenarios if one.variation is not None]
+    return Targets(shape, length, width, yaw, np.array(cells) if cells else None)
 
 
 def strata(targets: Targets) -> list[Stratum]:
@@ -59,6 +63,9 @@ def strata(targets: Targets) -> list[Stratum]:
 
 
 def _all(targets: Targets) -> Iterator[Stratum]:
+    if targets.cell is not None:
+        for cell in np.unique(targets.cell).tolist():
+            yield Stratum("cell", cell, targets.cell == cell)
     for shape in Shape:
         yield Stratum("shape", shape.value, targets.shape == shape.value)
     yield from _quarters("length", targets.length_m)

@@ -11,7 +11,10 @@ from click.testing import CliRunner
 
 from evaluator.cli.main import cli
 from evaluator.leaderboard import leaderboard
+from evaluator.leaderboard.comparison import compare
 from evaluator.leaderboard.suite_tables import suite_tables
+from evaluator.leaderboard.verification import known
+from evaluator.report.breakdown import breakdowns
 from evaluator.run.reading import read_run
 from rema_data.errors import InputError
 from tests.evaluator.runs import solved, use_installation, write_entry, write_run, write_suite
@@ -94,3 +97,19 @@ def test_a_form_that_a_suite_has_not(runs: list[Path]) -> None:
 
 def test_a_run_knows_its_suite(runs: list[Path]) -> None:
     assert (read_run(runs[0]).suite, read_run(runs[1]).suite) == ("", "tough-v1")
+
+
+def test_runs_are_compared_by_cell(runs: list[Path], tmp_path: Path) -> None:
+    found = compare(read_run(runs[1]), read_run(runs[5]))
+    cells = {row.label: row.table.n for row in found.strata if row.by == "cell"}
+    assert cells == {f"{axis} {level}": 20 for axis in ("clutter", "shape", "posts") for level in (1, 2, 3)}
+    with pytest.raises(InputError, match="scenarios_hash"):
+        compare(read_run(runs[0]), read_run(runs[1]))
+    entries = [write_entry(tmp_path / f"{n}.json", runs[n]) for n in (1, 5)]
+    again = compare(*(known(read_run(entry)) for entry in entries))
+    assert [(row.label, row.table) for row in again.strata] == [(row.label, row.table) for row in found.strata]
+
+
+def test_a_report_has_the_cells(runs: list[Path]) -> None:
+    titles = {one.title: len(one.groups) for one in breakdowns(read_run(runs[1]))}
+    assert titles["cell of the suite: axis and level"] == 9
