@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -31,8 +30,8 @@ class Targets:
 
     def first(self, count: int) -> Targets:
         """The first so many."""
-        columns = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return Targets(**{name: None if column is None else column[:count] for name, column in columns.items()})
+        numbers = self.length_m[:count], self.width_m[:count], self.yaw_rad[:count]
+        return Targets(self.shape[:count], *numbers, None if self.cell is None else self.cell[:count])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

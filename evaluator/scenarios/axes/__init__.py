@@ -20,7 +20,6 @@ from evaluator.scenarios.axes.tools import Tools
 __all__ = ["AXES", "Axis", "Draw"]
 
 _SINGLE: tuple[Axis, ...] = (
-    Clutter(),
     Shapes(),
     Sizes(),
     Hand(),
@@ -30,6 +29,8 @@ _SINGLE: tuple[Axis, ...] = (
     Register(),
     Act(),
     Physics(),
+    Clutter(),  # last of what is mixed: it keeps clear of the target as the others have made it
 )
-AXES: dict[str, Axis] = {axis.name: axis for axis in (*_SINGLE, Mixed(_SINGLE), Posts())}
+_ALL = (*_SINGLE, Mixed(_SINGLE), Posts())
+AXES: dict[str, Axis] = {axis.name: axis for axis in sorted(_ALL, key=lambda axis: axis.number)}
 """Every axis by its name."""

@@ -8,12 +8,15 @@ from evaluator.scenarios.axes.base import Axis, Draw, varied
 from evaluator.scenarios.axes.clutter import beside
 from evaluator.sim.planar import gap, swept
 from evaluator.sim.shapes import footprint
+from rema_data.grid import SCENE_HALF_M
 from rema_data.schema import ObjectSpec, Placement, Primitive, Scenario, Shape
 
 __all__ = ["Posts"]
 
 _SIDE_M, _HEIGHT_M = 0.03, 0.06
 _GAP_M = (0.010, 0.045)
+_SEEN_M = SCENE_HALF_M - _SIDE_M
+"""Farthest place of a post from the middle, along an axis: all of it is on the map."""
 _TRIES = 400
 
 
@@ -38,6 +41,8 @@ class Posts(Axis):
             post = Placement(spec, *place, float(draw.rng.uniform(0, 2 * math.pi)))
             apart = gap(footprint(post), footprint(target))
             lane_free = not push or gap(footprint(post), lanes) > _GAP_M[0]  # a push keeps a free lane
+            if max(map(abs, place)) > _SEEN_M:
+                continue
             if _GAP_M[0] <= apart <= _GAP_M[1] and lane_free and beside(post, tuple(posts)):
                 posts.append(post)
             if len(posts) == level:

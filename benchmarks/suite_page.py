@@ -1,0 +1,142 @@
+"""Write docs/suite.md and its pictures: the cells of the generalisation suite, as the code defines them.
+
+python benchmarks/suite_page.py            # the page
+python benchmarks/suite_page.py --pictures # and a picture of every cell, drawn from validation scenarios
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from benchmarks.baseline_tables import markdown
+from benchmarks.results import ROOT
+from evaluator.scenarios import load_list
+from evaluator.scenarios.axes import AXES
+from evaluator.scenarios.suite import CELL, TRIES, cells, vary
+from evaluator.sim.observation import observe
+from evaluator.sim.simulator import Simulator
+from rema_data.grid import EE_HALF_M, SCENE_HALF_M
+from rema_data.schema import TASKS
+
+PAGE = ROOT / "docs" / "suite.md"
+PICTURES = ROOT / "docs" / "images"
+DRAWN = ("grasp", "grasp_push")
+"""Tasks whose cells are drawn: the others have the same axes."""
+_TEXT = """# The generalisation suite
+
+Made by `python benchmarks/suite_page.py`.
+
+Two of the clean tasks no longer tell good policies apart. A suite plays the same last steps with one thing changed:
+what stands on the table, what is in the hand, what the maps show, where the hand goes, or how the objects behave. A
+policy sees none of this but by its maps.
+
+```sh
+rema evaluate my_policy.py --task grasp --suite hard-v1          # all cells, in one shuffled stream
+rema leaderboard --suite hard-v1                                 # by axis
+rema compare runs/a-grasp-hard-v1 runs/b-grasp-hard-v1           # by cell
+```
+
+A **cell** is one task, one axis and one level. Its scenarios are made of clean ones with the same index: {test} of the
+test list, {val} of the validation list. Every axis has indices of its own, which its levels share, so cells are paired
+with each other and with a clean run. All cells of a task are one list, in an order that says nothing about them.
+Everything is frozen in the list: objects, seeds of the noise, displacements. An observation and an outcome are pure
+functions of a scenario and an action, as in the clean protocol, whose lists, constants and results a suite does not
+touch.
+
+A scenario without noise or displacement can be solved: one of {tries} actions, those of the reference policy first,
+solves it. One that cannot is drawn again; the manifest counts how often.
+
+## The axes
+
+{axes}
+
+*in `hard`*: whether the axis counts in the mean. `posts` is a track of its own, since a policy has to be told that
+targets are 30 mm high and posts, which are not to be touched, 60 mm. `mixed` is reported apart.
+
+{pictures}
+
+## The score
+
+An axis is the mean of its levels, `hard` the mean of its axes. Where a scenario lacks there is no mean, never that of
+what happens to be there. Policies are ranked by `hard` itself; beside it stand the clean rate, the share of it that is
+kept, and the worst axis. Ranking by the kept share would reward weak policies. Intervals are those of a bootstrap over
+clean scenarios (10,000 times), since levels share them. Two policies share a letter where their difference, over the
+same draws, is not significant after Holm's adjustment for all pairs of the suite.
+
+Where other loose objects lie beside the target (`clutter`), lifting any one of them, alone, counts: the one between the
+fingers is the target of the attempt.
+"""
+
+
+def axes_table() -> str:
+    """Every axis: what changes, its levels, the tasks that have it."""
+    rows = [
+        [
+            f"`{axis.name}`",
+            axis.title,
+            "; ".join(f"{number}: {level}" for number, level in enumerate(axis.levels, 1)),
+            "all" if set(axis.tasks) == set(TASKS) else ", ".join(axis.tasks),
+            "yes" if axis.counts else "no",
+        ]
+        for axis in AXES.values()
+    ]
+    return markdown(["axis", "what changes", "levels", "tasks", "in `hard`"], rows)
+
+
+def draw(task: str, path: Path) -> None:
+    """A row an axis, a column a level: the scene, and below it the end effector, of one validation scenario."""
+    found = cells(task)
+    names = list(dict.fromkeys(cell.axis for cell in found))
+    most = max(cell.level for cell in found)
+    figure = Figure(
+        figsize=(1.5 * (2 * most + 0.6), 1.6 * len(names)), dpi=110, facecolor="white", layout="constrained"
+    )
+    grid: np.ndarray[tuple[int, int], np.dtype[np.object_]] = figure.subplots(len(names), 2 * most, squeeze=False)
+    for one in grid.flat:
+        one.set_axis_off()
+    simulator, clean = Simulator(), load_list(task, "val").scenarios
+    for cell in found:
+        axis = AXES[cell.axis]
+        scenario = vary(simulator, clean[CELL["val"] * axis.number + 3], cell).scenario
+        seen = observe(scenario.last_situation())
+        row, column = names.index(cell.axis), 2 * (cell.level - 1)
+        _show(grid[row, column], seen.scene, SCENE_HALF_M, f"{cell.axis} {cell.level}")
+        _show(grid[row, column + 1], seen.depth[0], EE_HALF_M, "")
+    FigureCanvasAgg(figure).print_png(str(path))
+
+
+def _show(axes: Axes, heights: np.ndarray, half_m: float, title: str) -> None:
+    axes.imshow(heights / 10, origin="lower", cmap="magma", vmin=0, vmax=60, extent=(-half_m, half_m) * 2)
+    axes.set_title(title, fontsize=7, pad=2, loc="left")
+
+
+def main() -> None:
+    """Write the page, and its pictures if they are asked for."""
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("--pictures", action="store_true")
+    arguments = options.parse_args()
+    shown = []
+    for task in DRAWN:
+        path = PICTURES / f"suite_{task}.png"
+        if arguments.pictures:
+            draw(task, path)
+        shown.append(
+            f"![Cells of {task}](images/{path.name})\n\nScene and end-effector map of one validation scenario of every "
+            f"cell of {task}, heights in mm from black (0) to white (60)."
+        )
+    text = _TEXT.format(**CELL, tries=TRIES, axes=axes_table(), pictures="\n\n".join(shown))
+    PAGE.write_text(text, encoding="utf-8")
+    print(PAGE)
+
+
+if __name__ == "__main__":
+    main()
