@@ -14,6 +14,7 @@ an array is read: numpy parses more than names of types, and raises more than on
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import struct
@@ -131,7 +132,8 @@ def batch_frame(
     """The question ``number`` about this batch: ``op`` is one of ``REPLIES``."""
     header: dict[str, Any] = {"op": op, "number": number, **{name: getattr(batch, name) for name in _STEP}}
     if situations is not None:
-        header["situations"] = [to_dict(situation) for situation in situations]
+        shown = (dataclasses.replace(one, variation=None) for one in situations)  # not what a suite changes
+        header["situations"] = [to_dict(situation) for situation in shown]
     arrays = {
         "scene": (batch.scene, 1),
         "end_effector": _once_if_equal(batch.end_effector),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import struct
 from typing import Any
@@ -13,6 +14,8 @@ from hypothesis import strategies as st
 
 from evaluator.policy import PolicyHost
 from evaluator.policy.wire import WireError, batch_frame, frame_parts, read_frame, read_question
+from evaluator.scenarios import load_list
+from rema_data.variation import Variation
 
 from .batches import make_batch
 from .conftest import REPLIES, WritePolicy
@@ -135,3 +138,11 @@ def test_every_number_may_be_sent(dtype: str) -> None:
     _, arrays = read_frame(Tape(data).read, 1 << 20, MAX_BYTES)
     assert np.array_equal(arrays["answer"], array) and arrays["answer"].dtype == array.dtype
     assert np.array_equal(arrays["twice"], np.repeat(array[:1], 2, axis=0))
+
+
+def test_nobody_is_told_what_a_suite_changes() -> None:
+    """A privileged policy sees the true situation, but neither the axis nor the level."""
+    situation = load_list("grasp").scenarios[0].last_situation()
+    varied = dataclasses.replace(situation, variation=Variation("secret axis", 3, 0))
+    sent = b"".join(batch_frame(1, make_batch(1), (varied,)))
+    assert b"secret" not in sent and sent == b"".join(batch_frame(1, make_batch(1), (situation,)))
