@@ -30,6 +30,7 @@ def evaluate(
     protocol: str = "conditional",
     split: str = "test",
     suite: str | None = None,
+    fresh: int | None = None,
     engine: str = "process",
     workers: int | None = None,
     address: str | None = None,
@@ -58,6 +59,8 @@ def evaluate(
     split : {"test", "val"}
     suite : str, optional
         A generalisation suite, such as ``hard-v1``: its scenarios in place of the clean ones.
+    fresh : int, optional
+        A seed: a list is drawn from it, of as many scenarios as ``episodes``, by default 2,000.
     engine : str
         Where the simulation runs: ``process``, ``inline``, ``ray`` or another installed engine.
     workers : int, optional
@@ -95,11 +98,13 @@ def evaluate(
     from evaluator.policy.loading import resolve, weights_of
     from evaluator.runner import EvaluationConfig, run_evaluation
     from evaluator.runner.shards import RunShard
-    from evaluator.scenarios.suites import suite_length
 
     spec = resolve(str(policy))
     run_shard = None if shard is None else RunShard.parse(shard)
+    version, count = _scenarios(task, split, protocol, suite, fresh, episodes, workers, progress)
     name = f"{spec.name}-{task}-{suite or protocol}" + ("" if split == "test" else f"-{split}")
+    if fresh is not None:
+        name += f"-{version}"
     if run_shard is not None:
         name += f"-shard-{run_shard.number}-of-{run_shard.count}"
     config = EvaluationConfig(
@@ -110,8 +115,8 @@ def evaluate(
         device=device,
         protocol=protocol,
         split=split,
-        suite=suite,
-        episodes=episodes or (10_000 if suite is None else suite_length(suite, task, split)),
+        version=version,
+        episodes=count,
         engine=engine,
         workers=workers,
         batch_size=batch_size,
@@ -126,6 +131,39 @@ def evaluate(
     from evaluator.runner.quick import quick_evaluation
 
     return quick_evaluation(config, Path(quick), progress, read=lambda path: read_run(path, progress=progress))
+
+
+def _scenarios(
+    task: str,
+    split: str,
+    protocol: str,
+    suite: str | None,
+    fresh: int | None,
+    episodes: int | None,
+    workers: int | None,
+    progress: Progress | None,
+) -> tuple[str | None, int]:
+    """The version of the lists that an evaluation plays (None: the one in force), and how many of its scenarios."""
+    if suite is not None and fresh is not None:
+        raise InputError("a suite is frozen, a fresh list is not", hint="give --suite or --fresh")
+    if suite is not None:
+        from evaluator.scenarios.suites import suite_length
+
+        if protocol != "conditional":
+            raise InputError(
+                f"the suite {suite} changes the last step of an episode: it has no {protocol} protocol",
+                hint="drop --protocol",
+                field="protocol",
+            )
+        return suite, episodes or suite_length(suite, task, split)
+    if fresh is not None:
+        from evaluator.runner.fresh import fresh_list
+        from evaluator.scenarios.fresh import COUNT
+
+        if split != "test":
+            raise InputError(f"a fresh list has no {split} split", hint="drop --split")
+        return fresh_list(fresh, task, episodes or COUNT, workers, progress), episodes or COUNT
+    return None, episodes or 10_000
 
 
 def read_run(path: str | Path, *, progress: Progress | None = None) -> Run:

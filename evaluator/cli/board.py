@@ -14,9 +14,21 @@ __all__ = ["print_board", "print_suite"]
 _STYLES = {"published": "dim", "privileged": "magenta", "simulator": "magenta", "random": "blue"}
 _IN_TITLE = ("task", "protocol")
 _NUMBERS = ("rank", "k/n", "rate %", "z")
-_OPTIONAL = ("failures", "sandbox", "errors", "funnel %", "z", "hard %", "end-to-end %", "rank", "tag", "ties")
+_OPTIONAL = (
+    "failures",
+    "sandbox",
+    "errors",
+    "funnel %",
+    "z",
+    "clean - fresh",
+    "hard %",
+    "end-to-end %",
+    "rank",
+    "tag",
+    "ties",
+)
 """Columns that a narrow terminal does without, the first one first."""
-_LOUD = ("ANOTHER SIMULATOR", "LEFT OUT", "NOT VERIFIED")
+_LOUD = ("ANOTHER SIMULATOR", "FRESH", "LEFT OUT", "NOT VERIFIED")
 
 
 def print_board(board: Board) -> None:

@@ -17,8 +17,9 @@ __all__ = ["evaluate"]
 @click.command()
 @click.argument("policy")
 @click.option("--task", required=True, type=click.Choice(list(TASKS)), help="What has to be done.")
-@click.option("--episodes", type=click.IntRange(min=1), help="First N scenarios.  [default: 10000; of a suite all]")
+@click.option("--episodes", type=click.IntRange(min=1), help="First N scenarios.  [default: 10000; fresh 2000]")
 @click.option("--suite", metavar="hard-v1", help="Play a generalisation suite in place of the clean scenarios.")
+@click.option("--fresh", type=int, metavar="SEED", help="Draw a list from a seed, and play it: see docs/evaluate.md.")
 @policy_options
 @engine_options
 @click.option("--shard", metavar="I/N", help="Play this shard of the scenarios; `rema merge` merges them.")

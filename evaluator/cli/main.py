@@ -46,6 +46,7 @@ VERBS: dict[str, Verb] = {
     "rounds": Verb("baselines.rounds.command:rounds", "Collect and train in rounds, as a plan says."),
     "check": Verb("evaluator.cli.check:check", "Check a policy in seconds: what would be refused, and why."),
     "evaluate": Verb("evaluator.cli.evaluate:evaluate", "Score a policy on frozen scenarios."),
+    "fresh": Verb("evaluator.cli.fresh:fresh", "Commit to a secret seed of scenarios, and reveal it."),
     "merge": Verb("evaluator.cli.merge:merge", "Merge the shards of an evaluation."),
     "replay": Verb("evaluator.cli.replay:replay", "Check a finished run by simulating its actions again."),
     "leaderboard": Verb(

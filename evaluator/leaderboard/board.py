@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from evaluator.leaderboard.copies import in_order, once
+from evaluator.leaderboard.fresh import fresh_counts, fresh_gap
 from evaluator.leaderboard.naming import PUBLISHED
 from evaluator.leaderboard.ranking import LEVEL, Pair, rank_runs
 from evaluator.leaderboard.row import Row, published_rows, row_of
@@ -69,7 +70,8 @@ def leaderboard(
 
     read, refused = _read(sources, settled, backend)
     everything, copies = once(in_order(read, records()))
-    runs = [run for run in everything if not run.suite]
+    runs = [run for run in everything if not run.suite and not run.fresh]
+    fresh = fresh_counts([run for run in everything if run.fresh])
     standings, pairs = rank_runs(runs)
     conditional = {_policy(run): run.counts.rate for run in runs if run.has_counts and not run.end_to_end}
     hardened = suite_rows([run for run in everything if run.suite], conditional)
@@ -85,6 +87,7 @@ def leaderboard(
             **asdict(standing),
             end_to_end=None if run.end_to_end else whole.get(_policy(run)),
             hard=None if run.end_to_end else hard.get(_policy(run)),
+            fresh=fresh_gap(run, fresh),
         )
         for run, standing in zip(runs, standings, strict=True)
     ]
@@ -178,6 +181,13 @@ def _remarks(rows: Sequence[Row], pairs: Sequence[Pair]) -> Iterator[str]:
             yield (
                 f"ANOTHER SIMULATOR: the runs of {task} ({protocol}) come from different builds or constants of the "
                 "simulator: a part of their difference may be the simulator's."
+            )
+    for row in rows:
+        if row.fresh is not None and row.fresh[1] > 0:
+            gap, low, high = (f"{100 * end:.1f}" for end in row.fresh)
+            yield (
+                f"FRESH: {row.policy} ({row.task}, {row.protocol}) solves fewer fresh scenarios, by {gap} points "
+                f"[{low}, {high}]: what it does on the frozen list does not carry over."
             )
     if any(row.infra_errors for row in rows):
         yield "Episodes lost to the infrastructure are in no denominator; the bounds count them as failed, or solved."

@@ -29,6 +29,7 @@ COLUMNS = (
     "ties",
     "end-to-end %",
     "hard %",
+    "clean - fresh",
     "funnel %",
     "z",
     "errors",
@@ -67,6 +68,7 @@ def cells(row: Row) -> tuple[str, ...]:
         row.ties,
         "" if row.end_to_end is None else percent(row.end_to_end),
         "" if row.hard is None else percent(row.hard),
+        "" if row.fresh is None else "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(100 * end for end in row.fresh)),
         _funnel(row),
         "" if row.z is None else f"{row.z:+.1f}",
         ", ".join(errors),
@@ -218,7 +220,7 @@ def _without_title(line: Sequence[str]) -> list[str]:
 
 
 _PAIRS = ("ci95", "bounds")
-_NESTED = ("failures", "funnel", "audit")
+_NESTED = ("failures", "funnel", "audit", "fresh")
 
 
 def _csv(board: Board) -> str:

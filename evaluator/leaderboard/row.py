@@ -41,6 +41,8 @@ class Row:
     unranked: str = ""
     verified: str = ""  # as in ``Run``; empty if its actions were not simulated, and for published rows
     end_to_end: float | None = None  # rate over the whole task, on conditional rows of tasks of several steps
+    # clean rate minus that over fresh scenarios of the same policy, and its 95 % interval, on conditional rows
+    fresh: tuple[float, float, float] | None = None
     hard: float | None = None  # of the same policy over a generalisation suite, on conditional rows
     z: float | None = None  # distance to the published rate of the same policy and task, in standard errors
     policy_digest: str = ""  # this, the hashes, ``fingerprint`` and ``isolation`` are empty if published

@@ -23,8 +23,9 @@ from evaluator.run.folder import TIMINGS_FILE
 from evaluator.run.records import ANSWERS, read_journal
 from evaluator.run.seal import results_name
 from evaluator.run.tables import TIMINGS_SCHEMA, first_line
+from evaluator.scenarios.lists import FRESH, version_of
 from evaluator.scenarios.strata import Targets, targets_of_list
-from evaluator.scenarios.suites import suite_of
+from evaluator.scenarios.suites import suites
 from rema_data.bounded import parquet_table
 from rema_data.errors import InputError, IntegrityError, MissingFileError
 
@@ -143,9 +144,19 @@ class Run:
         return self.protocol == "end-to-end"
 
     @cached_property
+    def version(self) -> str:
+        """The version of its scenario list; empty where the list is not here."""
+        return version_of(self.task, self.split, self.provenance.scenarios_hash)
+
+    @property
     def suite(self) -> str:
         """The generalisation suite that it was played over; empty for clean scenarios, and lists that are not here."""
-        return suite_of(self.task, self.split, self.provenance.scenarios_hash)
+        return self.version if self.version in suites() else ""
+
+    @property
+    def fresh(self) -> bool:
+        """Whether its scenarios were drawn from a seed on this machine."""
+        return self.version.startswith(FRESH)
 
     @property
     def counts(self) -> Counts:

@@ -31,7 +31,7 @@ class EvaluationConfig:
     device: str = "cpu"
     protocol: str = "conditional"
     split: str = "test"
-    suite: str | None = None  # a suite whose scenarios are played in place of the clean ones
+    version: str | None = None  # of the scenario lists: a suite or a fresh list in place of the ones in force
     episodes: int = 10_000
     engine: str = "process"
     workers: int | None = None
@@ -51,12 +51,6 @@ class EvaluationConfig:
                 raise InputError(
                     f"unknown {name} {getattr(self, name)!r}", hint=f"choose one of: {', '.join(allowed)}", field=name
                 )
-        if self.suite is not None and self.protocol != "conditional":
-            raise InputError(
-                f"the suite {self.suite} changes the last step of an episode: it has no {self.protocol} protocol",
-                hint="drop --protocol",
-                field="protocol",
-            )
         check_engine(self.engine, self.workers, self.address)
         for name in ("episodes", "batch_size"):
             value = getattr(self, name)

@@ -62,7 +62,7 @@ def quick_evaluation(
         "split": config.split,
         "protocol": config.protocol,
         "protocol_hash": backend.protocol_hash(config.task, config.protocol),
-        "scenarios_hash": load_list(config.task, config.split, config.suite).sha256,
+        "scenarios_hash": load_list(config.task, config.split, config.version).sha256,
     }
     for field, value in reference.comparable.items():
         if value != mine[field]:

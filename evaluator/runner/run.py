@@ -58,7 +58,7 @@ def run_evaluation(
     start = time.perf_counter()
     progress = progress or Silent()
     backend = backend or default_backend()
-    scenarios = load_list(config.task, config.split, config.suite)
+    scenarios = load_list(config.task, config.split, config.version)
     if config.episodes > len(scenarios.scenarios):
         raise InputError(
             f"--episodes {config.episodes} is more than the {len(scenarios.scenarios)} scenarios of "

@@ -50,31 +50,34 @@ class Drawn(NamedTuple):
     redrawn: int
 
 
-def draw_scenario(simulator: Simulator, task: str, split: str, index: int) -> Drawn:
-    """One scenario: a function of (task, split, index) and of the simulator."""
-    ready = prepare(simulator, task, episode_generator(ROOT_SEED, split, task, index))
+def draw_scenario(simulator: Simulator, task: str, split: str, index: int, root: int = ROOT_SEED) -> Drawn:
+    """One scenario: a function of (root, task, split, index) and of the simulator."""
+    ready = prepare(simulator, task, episode_generator(root, split, task, index))
     return Drawn(ready.scenario(task, split, index), ready.redrawn)
 
 
-def _draw_chunk(job: tuple[str, str, range]) -> list[Drawn]:
-    task, split, indices = job
-    return [draw_scenario(process_simulator(), task, split, index) for index in indices]
+def _draw_chunk(job: tuple[str, str, range, int]) -> list[Drawn]:
+    task, split, indices, root = job
+    return [draw_scenario(process_simulator(), task, split, index, root) for index in indices]
 
 
-def generate_list(task: str, split: str, count: int, pool: Executor) -> Iterator[Drawn]:
+def generate_list(task: str, split: str, count: int, pool: Executor, root: int = ROOT_SEED) -> Iterator[Drawn]:
     """Scenarios 0 to ``count`` - 1 of a list, in order, for any number of workers."""
-    jobs = [(check_task(task), split, range(start, min(start + _CHUNK, count))) for start in range(0, count, _CHUNK)]
+    starts = range(0, count, _CHUNK)
+    jobs = [(check_task(task), split, range(start, min(start + _CHUNK, count)), root) for start in starts]
     for chunk in pool.map(_draw_chunk, jobs):
         check()
         yield from chunk
 
 
-def picked_list(task: str, split: str, count: int, pool: Executor, picker: Picker) -> Iterator[Drawn]:
+def picked_list(
+    task: str, split: str, count: int, pool: Executor, picker: Picker, root: int = ROOT_SEED
+) -> Iterator[Drawn]:
     """The same with the tools as a policy picked them; PolicyFailureError where it cannot."""
     check_task(task)
     for start in range(0, count, _PICKED_CHUNK):
         indices = range(start, min(start + _PICKED_CHUNK, count))
-        generators = {index: episode_generator(ROOT_SEED, split, task, index) for index in indices}
+        generators = {index: episode_generator(root, split, task, index) for index in indices}
         for one in draw_picked(task, generators, picker, pool):
             yield Drawn(one.scenario(task, split), one.redrawn)
 

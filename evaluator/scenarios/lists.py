@@ -37,7 +37,7 @@ from rema_data.schema import (
     pinch_step,
     tool_steps,
 )
-from rema_data.storage import write_atomic
+from rema_data.storage import rema_home, write_atomic
 from rema_data.validation import validated
 from rema_data.variation import compact, variation_from_dict
 
@@ -49,12 +49,15 @@ __all__ = [
     "load_list",
     "manifest_path",
     "scenario_id",
+    "version_of",
     "versions",
     "update_manifest",
     "write_list",
 ]
 
 SPLITS = ("test", "val")
+FRESH = "fresh-"
+"""How versions begin that were drawn on this machine from a seed (``evaluator.scenarios.fresh``)."""
 VERSION = "v2"
 """The version of the lists that evaluations use; older and newer ones may lie beside it."""
 
@@ -190,14 +193,18 @@ def update_manifest(
 
 
 def manifest_path(version: str) -> Path:
-    """Where the manifest of a version of the lists lies."""
-    return manifests_dir() / "scenarios" / version / "manifest.json"
+    """Where the manifest of a version of the lists lies; that of a fresh list is below ``REMA_HOME``."""
+    return _place(version.startswith(FRESH)) / version / "manifest.json"
+
+
+def _place(fresh: bool) -> Path:
+    return rema_home() / "scenarios" if fresh else manifests_dir() / "scenarios"
 
 
 def versions() -> tuple[str, ...]:
-    """The versions of the lists that are here, the one in force first."""
-    here = {path.parent.name for path in manifest_path(VERSION).parent.parent.glob("*/manifest.json")}
-    return (VERSION, *sorted(here - {VERSION}, reverse=True))
+    """The versions of the lists that are here, the one in force first, fresh ones last."""
+    frozen, fresh = ({path.parent.name for path in _place(own).glob("*/manifest.json")} for own in (False, True))
+    return (VERSION, *sorted(frozen - {VERSION}, reverse=True), *sorted(fresh))
 
 
 def installed_list(task: str, split: str, version: str = VERSION) -> tuple[str, int] | None:
@@ -211,6 +218,11 @@ def installed_list(task: str, split: str, version: str = VERSION) -> tuple[str, 
         return None if entry is None else (str(entry["sha256"]), int(entry["count"]))
 
     return read_manifest(path, "scenario manifest", named)
+
+
+def version_of(task: str, split: str, sha256: str) -> str:
+    """The version whose list has this hash; empty where it is not here."""
+    return next((one for one in versions() if (installed_list(task, split, one) or ("", 0))[0] == sha256), "")
 
 
 def list_length(task: str, split: str, sha256: str) -> int | None:

@@ -7,7 +7,7 @@ import json
 from evaluator.scenarios.lists import VERSION, installed_list, manifest_path, versions
 from rema_data.errors import InputError
 
-__all__ = ["SUITE", "suite_length", "suite_of", "suites"]
+__all__ = ["SUITE", "suite_length", "suites"]
 
 SUITE = "suite"
 """The field of a manifest that says that its lists are those of a suite."""
@@ -35,8 +35,3 @@ def suite_length(suite: str, task: str, split: str) -> int:
     if found is None:
         raise InputError(f"the suite {suite} has no {split} list of {task}", hint="choose another task or split")
     return found[1]
-
-
-def suite_of(task: str, split: str, sha256: str) -> str:
-    """The suite whose list in a task has this hash; empty where it is none of a suite."""
-    return next((name for name in suites() if (installed_list(task, split, name) or ("", 0))[0] == sha256), "")

@@ -11,6 +11,7 @@ from evaluator.statistics.methods import MethodDifference, MethodRate, method_di
 from evaluator.statistics.pairs import PairTable, detectable_difference, midp_mcnemar, pair_table, paired_interval
 from evaluator.statistics.rates import (
     clopper_pearson,
+    difference_interval,
     error_bounds,
     format_interval,
     format_rate,
@@ -29,6 +30,7 @@ __all__ = [
     "QuickResult",
     "benjamini_hochberg",
     "clopper_pearson",
+    "difference_interval",
     "detectable_difference",
     "difference_sequence",
     "error_bounds",

@@ -13,6 +13,7 @@ from rema_data.errors import InputError
 
 __all__ = [
     "clopper_pearson",
+    "difference_interval",
     "error_bounds",
     "format_interval",
     "format_rate",
@@ -63,6 +64,15 @@ def _interval(successes: int, n: int, confidence: float, method: Literal["wilson
 
     interval = binomtest(successes, n).proportion_ci(confidence, method)
     return max(0.0, float(interval.low)), min(1.0, float(interval.high))
+
+
+def difference_interval(
+    successes_a: int, n_a: int, successes_b: int, n_b: int, confidence: float = 0.95
+) -> tuple[float, float]:
+    """Interval of rate A minus rate B over different episodes (Newcombe's, from the two Wilson intervals)."""
+    a, b = successes_a / n_a, successes_b / n_b
+    (low_a, high_a), (low_b, high_b) = wilson(successes_a, n_a, confidence), wilson(successes_b, n_b, confidence)
+    return (a - b - math.hypot(a - low_a, high_b - b), a - b + math.hypot(high_a - a, b - low_b))
 
 
 def error_bounds(successes: int, measured: int, lost: int) -> tuple[float, float]:

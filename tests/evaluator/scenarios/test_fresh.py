@@ -1,0 +1,111 @@
+"""Fresh lists: the same for everybody with the seed, unlike anything else, and shown beside the clean rate."""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from evaluator.cli.main import cli
+from evaluator.leaderboard import leaderboard
+from evaluator.run.reading import read_run
+from evaluator.scenarios import load_list
+from evaluator.scenarios.fresh import commitment, draw_fresh, fresh_version, picked_by_policy
+from evaluator.scenarios.lists import VERSION, manifest_path, versions
+from evaluator.statistics import difference_interval
+from rema_data.errors import InputError, IntegrityError
+from tests.evaluator.runs import solved, use_installation, write_run
+
+
+class InThisProcess(Executor):
+    """A pool that is none."""
+
+    def map(self, fn: Any, *iterables: Any, **_: Any) -> Any:
+        return map(fn, *iterables)
+
+
+def no_picker() -> Any:
+    raise AssertionError("grasp needs no tools")
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("REMA_HOME", str(tmp_path / "home"))
+
+
+def draw(seed: int, count: int = 30) -> str:
+    return draw_fresh(seed, "grasp", count, InThisProcess(), no_picker)
+
+
+def test_a_seed_names_one_list(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = load_list("grasp", "test", draw(5))
+    monkeypatch.setenv("REMA_HOME", str(tmp_path / "elsewhere"))
+    again = load_list("grasp", "test", draw(5))
+    assert first == again and len(first.scenarios) == 30
+    assert load_list("grasp", "test", draw(5, 10)).scenarios == first.scenarios[:10]
+    assert versions()[0] == VERSION and versions()[-1].startswith("fresh-5-")
+
+
+def test_no_scenario_is_one_of_another_list() -> None:
+    known = {one.placements for split in ("test", "val") for one in load_list("grasp", split).scenarios}
+    lists = [load_list("grasp", "test", draw(seed)).scenarios for seed in (0, 1, 2**63 - 1)]
+    drawn = [one.placements for scenarios in lists for one in scenarios]
+    assert len(set(drawn)) == 90 and not known & set(drawn)
+
+
+def test_a_damaged_list_is_refused() -> None:
+    version = draw(5)
+    (file,) = manifest_path(version).parent.glob("*.parquet")
+    file.write_bytes(file.read_bytes()[:-1] + b"x")
+    with pytest.raises(IntegrityError):
+        draw(5)
+
+
+@pytest.mark.parametrize("seed", [-1, 2**63])
+def test_a_number_that_is_no_seed(seed: int) -> None:
+    with pytest.raises(InputError, match=f"seed {seed} is not"):
+        fresh_version(seed, 10)
+
+
+def test_tools_are_picked_as_in_the_clean_lists() -> None:
+    picked = [
+        task for task in ("grasp", "push", "grasp_grasp", "grasp_push", "grasp_grasp_push") if picked_by_policy(task)
+    ]
+    assert picked == ["grasp_grasp", "grasp_push"]
+
+
+def test_commit_and_reveal() -> None:
+    done = CliRunner().invoke(cli, ["fresh", "commit", "--seed", "77"])
+    assert done.exit_code == 0 and commitment(77) in done.stdout
+    assert CliRunner().invoke(cli, ["fresh", "reveal", "77", commitment(77)]).exit_code == 0
+    other = CliRunner().invoke(cli, ["fresh", "reveal", "78", commitment(77)])
+    assert other.exit_code != 0 and "is not the one" in other.stderr
+    secret = [CliRunner().invoke(cli, ["fresh", "commit"]).stdout for _ in range(2)]
+    assert secret[0] != secret[1]
+
+
+def test_the_board_shows_clean_minus_fresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    use_installation(tmp_path, monkeypatch)
+    version = draw(5, 200)
+    runs = []
+    for name, clean, fresh in (("honest", 0.7, 0.7), ("table", 0.95, 0.3)):
+        runs.append(write_run(tmp_path / name, solved(clean, 1), policy=name))
+        runs.append(write_run(tmp_path / f"{name}-fresh", solved(fresh, 2, 200), policy=name, suite=version))
+    assert read_run(runs[1]).fresh and not read_run(runs[0]).fresh
+    board = leaderboard(runs, published=False)
+    found = {row.policy: row.fresh for row in board.rows}
+    assert len(board.rows) == 2 and None not in found.values()
+    honest, table = found["honest"], found["table"]
+    assert honest is not None and honest[1] < 0 < honest[2]
+    assert table is not None and table[0] == pytest.approx(0.65, abs=0.1) and table[1] > 0.5
+    marked = [text for text in board.remarks if text.startswith("FRESH")]
+    assert len(marked) == 1 and "table (grasp, conditional)" in marked[0]
+
+
+def test_the_interval_of_a_difference() -> None:
+    """Newcombe 1998, example (a) of method 10."""
+    low, high = difference_interval(56, 70, 48, 80)
+    assert (low, high) == (pytest.approx(0.0524, abs=1e-4), pytest.approx(0.3339, abs=1e-4))
