@@ -24,6 +24,7 @@ from evaluator.cli import output
 from evaluator.cli.main import VERBS, cli
 from evaluator.policy.check_report import CheckResult, PolicyReport
 from evaluator.runner import run_evaluation
+from evaluator.scenarios.fresh import commitment
 from rema_data.release.registry import register
 from rema_data.testing import make_release
 from tests.baselines.rounds.fakes import write_plan
@@ -33,6 +34,8 @@ from tests.evaluator.runs import EPISODES, solved, write_manifests, write_run
 ROOT = Path(__file__).resolve().parents[3]
 LONG = "a-folder-whose-name-is-longer-than-a-line with spaces [and brackets] of a terminal"
 PACKAGES = ("rema_data", "evaluator", "baselines")
+
+COMMITMENT = commitment(7)
 
 VERB_CASES: dict[str, tuple[str, tuple[str, ...]]] = {
     "download": ("--source {here}/mirror", ("{here}/mirror", "{here}/home/releases/tiny")),
@@ -50,6 +53,7 @@ VERB_CASES: dict[str, tuple[str, tuple[str, ...]]] = {
         "random --task grasp --episodes 20 --engine inline --output {new}",
         ("run folder: {new} (`rema replay` checks it)", "warning: {here}/cache is full", "20 actions re-run: "),
     ),
+    "fresh": ("commit --seed 7", ("sha256 (publish it):   " + COMMITMENT,)),
     "merge": ("{here}/shard-1 {here}/shard-2 --output {new}", ("run folder: {new} (",)),
     "replay": ("{here}/fake --engine inline --fraction 0.1", ("seal  {seal}",)),
     "leaderboard": (
@@ -78,6 +82,7 @@ ERROR_CASES: dict[str, tuple[str, ...]] = {
     "rounds": ("{gone}",),
     "check": ("{gone}.py",),
     "evaluate": ("{gone}.py --task grasp", "random --task grasp --checkpoint {gone}"),
+    "fresh": ("reveal 8 " + COMMITMENT,),
     "merge": ("{gone} --output {new}",),
     "replay": ("{gone}",),
     "leaderboard": ("{gone}",),
