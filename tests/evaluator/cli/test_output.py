@@ -82,7 +82,7 @@ ERROR_CASES: dict[str, tuple[str, ...]] = {
     "rounds": ("{gone}",),
     "check": ("{gone}.py",),
     "evaluate": ("{gone}.py --task grasp", "random --task grasp --checkpoint {gone}"),
-    "fresh": ("reveal 8 " + COMMITMENT,),
+    "fresh": (),
     "merge": ("{gone} --output {new}",),
     "replay": ("{gone}",),
     "leaderboard": ("{gone}",),
