@@ -45,6 +45,9 @@ rema leaderboard --suite hard-v1                                 # by axis
 rema compare runs/a-grasp-hard-v1 runs/b-grasp-hard-v1           # by cell
 ```
 
+The suite `hard-v1` is not frozen yet: its levels are being settled on validation scenarios. Until then, draw one of
+your own: `rema scenarios my-suite --suite --cell 50 20`.
+
 A **cell** is one task, one axis and one level. Its scenarios are made of clean ones with the same index: {test} of the
 test list, {val} of the validation list. Every axis has indices of its own, which its levels share, so cells are paired
 with each other and with a clean run. All cells of a task are one list, in an order that says nothing about them.
