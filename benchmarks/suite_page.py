@@ -21,7 +21,8 @@ from benchmarks.baseline_tables import markdown
 from benchmarks.results import ROOT
 from evaluator.scenarios import load_list
 from evaluator.scenarios.axes import AXES
-from evaluator.scenarios.suite import CELL, TRIES, cells, vary
+from evaluator.scenarios.suite import CELL, TRIES, vary
+from evaluator.scenarios.suites import cells
 from evaluator.sim.observation import observe
 from evaluator.sim.simulator import Simulator
 from rema_data.grid import EE_HALF_M, SCENE_HALF_M

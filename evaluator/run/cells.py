@@ -15,7 +15,7 @@ import numpy.typing as npt
 from evaluator.run.plan import find_list
 from evaluator.run.run import Run
 from evaluator.scenarios.axes import AXES
-from evaluator.scenarios.suite import Cell, cells_of
+from evaluator.scenarios.suites import Cell, cells_of
 from rema_data.errors import InputError
 
 __all__ = ["AxisScore", "CellScore", "Solved", "SuiteScore", "score", "solved"]

@@ -146,12 +146,15 @@ class Run:
     @cached_property
     def version(self) -> str:
         """The version of its scenario list; empty where the list is not here."""
-        return version_of(self.task, self.split, self.provenance.scenarios_hash)
+        try:
+            return version_of(self.task, self.split, self.provenance.scenarios_hash)
+        except MissingFileError:  # there are no lists at all
+            return ""
 
     @property
     def suite(self) -> str:
         """The generalisation suite that it was played over; empty for clean scenarios, and lists that are not here."""
-        return self.version if self.version in suites() else ""
+        return self.version if self.version and self.version in suites() else ""
 
     @property
     def fresh(self) -> bool:

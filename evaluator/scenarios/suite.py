@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 from evaluator.scenarios.axes import AXES, Draw
-from evaluator.scenarios.lists import ScenarioList, load_list, manifest_path, update_manifest, write_list
-from evaluator.scenarios.suites import SUITE
+from evaluator.scenarios.lists import load_list, manifest_path, update_manifest, write_list
+from evaluator.scenarios.suites import SUITE, Cell, cells
 from evaluator.sim.kinds import kind_of
 from evaluator.sim.parameters import WORLD, parameters_hash
 from evaluator.sim.reach import valid_actions
@@ -33,7 +33,7 @@ from rema_data.schema import TASK_NUMBERS, TASKS, Scenario
 from rema_data.storage import write_atomic
 from rema_data.variation import Variation
 
-__all__ = ["CELL", "Cell", "cells", "cells_of", "draw_suite", "shuffled"]
+__all__ = ["CELL", "draw_suite", "shuffled", "vary"]
 
 CELL = {"test": 500, "val": 100}
 """Scenarios of a cell."""
@@ -46,39 +46,11 @@ TRIES = 200
 """Actions that are tried on a scenario before it counts as one that cannot be solved."""
 
 
-class Cell(NamedTuple):
-    """One axis at one level, in one task."""
-
-    task: str
-    axis: str
-    level: int
-
-
 class Varied(NamedTuple):
     """A scenario of a cell, and how often it was drawn again."""
 
     scenario: Scenario
     redrawn: int
-
-
-def cells(task: str) -> list[Cell]:
-    """The cells of a task, axis after axis."""
-    return [
-        Cell(task, axis.name, level)
-        for axis in AXES.values()
-        if task in axis.tasks
-        for level in range(1, len(axis.levels) + 1)
-    ]
-
-
-def cells_of(listed: ScenarioList) -> dict[Cell, list[int]]:
-    """The indices of the scenarios of every cell of a suite's list; empty for a clean list."""
-    found: dict[Cell, list[int]] = {}
-    for scenario in listed.scenarios:
-        if scenario.variation is not None:
-            key = Cell(listed.task, scenario.variation.axis, scenario.variation.level)
-            found.setdefault(key, []).append(scenario.index)
-    return dict(sorted(found.items(), key=lambda item: (AXES[item[0].axis].number, item[0].level)))
 
 
 def vary(simulator: Simulator, clean: Scenario, cell: Cell) -> Varied:

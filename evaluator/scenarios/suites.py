@@ -1,13 +1,15 @@
-"""The suites of this installation: which there are, and how long their lists are."""
+"""The suites of this installation, and the cells of their lists; see ``suite`` for what a suite is."""
 
 from __future__ import annotations
 
 import json
+from typing import NamedTuple
 
-from evaluator.scenarios.lists import VERSION, installed_list, manifest_path, versions
+from evaluator.scenarios.axes import AXES
+from evaluator.scenarios.lists import VERSION, ScenarioList, installed_list, manifest_path, versions
 from rema_data.errors import InputError
 
-__all__ = ["SUITE", "suite_length", "suites"]
+__all__ = ["SUITE", "Cell", "cells", "cells_of", "suite_length", "suites"]
 
 SUITE = "suite"
 """The field of a manifest that says that its lists are those of a suite."""
@@ -35,3 +37,31 @@ def suite_length(suite: str, task: str, split: str) -> int:
     if found is None:
         raise InputError(f"the suite {suite} has no {split} list of {task}", hint="choose another task or split")
     return found[1]
+
+
+class Cell(NamedTuple):
+    """One axis at one level, in one task."""
+
+    task: str
+    axis: str
+    level: int
+
+
+def cells(task: str) -> list[Cell]:
+    """The cells of a task, axis after axis."""
+    return [
+        Cell(task, axis.name, level)
+        for axis in AXES.values()
+        if task in axis.tasks
+        for level in range(1, len(axis.levels) + 1)
+    ]
+
+
+def cells_of(listed: ScenarioList) -> dict[Cell, list[int]]:
+    """The indices of the scenarios of every cell of a suite's list; empty for a clean list."""
+    found: dict[Cell, list[int]] = {}
+    for scenario in listed.scenarios:
+        if scenario.variation is not None:
+            key = Cell(listed.task, scenario.variation.axis, scenario.variation.level)
+            found.setdefault(key, []).append(scenario.index)
+    return dict(sorted(found.items(), key=lambda item: (AXES[item[0].axis].number, item[0].level)))

@@ -5,13 +5,15 @@ from __future__ import annotations
 import dataclasses
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from evaluator.sim.simulator import Simulator
 from rema_data.schema import TASKS, Placement, Scenario
 from rema_data.variation import Variation
+
+if TYPE_CHECKING:  # a board shows the axes without PyBullet
+    from evaluator.sim.simulator import Simulator
 
 __all__ = ["Axis", "Draw", "varied", "with_target"]
 

@@ -10,7 +10,6 @@ import numpy as np
 from evaluator.scenarios.axes.base import Axis, Draw
 from evaluator.scenarios.axes.objects import reshaped
 from evaluator.sim.parameters import WORLD
-from evaluator.sim.reference import reference_step
 from rema_data.schema import TASKS, Grip, ObjectSpec, Pinch, Placement, Scenario, Shape, Situation, tool_steps
 
 __all__ = ["Tools"]
@@ -74,6 +73,8 @@ class Tools(Axis):
         return dataclasses.replace(scenario, placements=tuple(placements), grips=grips, pinch=pinch)
 
     def _made(self, situation: Situation, draw: Draw) -> Grip | Pinch | None:
+        from evaluator.sim.reference import reference_step  # needs PyBullet, which the names of the axes do not
+
         for _ in range(_TRIES):
             if (done := reference_step(draw.simulator, situation, draw.rng)) is not None:
                 return done.grip or done.pinch

@@ -11,8 +11,8 @@ import pytest
 from evaluator.scenarios import load_list
 from evaluator.scenarios.axes import AXES
 from evaluator.scenarios.lists import versions
-from evaluator.scenarios.suite import CELL, Cell, cells, cells_of, draw_suite, shuffled, vary
-from evaluator.scenarios.suites import suite_length, suites
+from evaluator.scenarios.suite import CELL, draw_suite, shuffled, vary
+from evaluator.scenarios.suites import Cell, cells, cells_of, suite_length, suites
 from evaluator.sim.observation import observe
 from evaluator.sim.simulator import Simulator
 from rema_data.errors import InputError
@@ -68,7 +68,8 @@ def few(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     for version in ("v1", "v2"):
         (tmp_path / "scenarios" / version).symlink_to(here / version)
     monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path))
-    monkeypatch.setattr("evaluator.scenarios.suite.AXES", {name: AXES[name] for name in ("sense", "act")})
+    for module in ("suite", "suites"):
+        monkeypatch.setattr(f"evaluator.scenarios.{module}.AXES", {name: AXES[name] for name in ("sense", "act")})
     return tmp_path
 
 
