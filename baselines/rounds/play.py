@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,6 +106,11 @@ class _Asked:
     behaviour: _Behaviour
 
 
+_Question = tuple[_Open, Sequence[tuple[int, Situation]]]
+"""Some episodes of a chunk, and the situations that their step starts from."""
+_Answer = tuple[_Behaviour, list[Observation], list[int]]
+
+
 class Player:
     """Plays chunks with an engine.
 
@@ -114,7 +120,7 @@ class Player:
 
     def __init__(self, seed: int, backend: Backend, behaviour: Callable[[BlockKey, int], _Behaviour]) -> None:
         self._seed, self._backend, self._behaviour = seed, backend, behaviour
-        self._questions: deque[tuple[_Open, list[tuple[int, Situation]]]] = deque()
+        self._questions: deque[_Question] = deque()
         self._ready: deque[JobBatch] = deque()
         self._flying: dict[int, _Asked] = {}
         self._open = 0
@@ -143,18 +149,27 @@ class Player:
                     )
 
     def _job_batches(self, chunks: Iterator[Chunk]) -> Iterator[JobBatch]:
-        """Work for the engine whenever it asks; an empty batch to be asked again after a result."""
-        while True:
-            if self._ready:
-                yield self._ready.popleft()
-            elif self._questions:
-                self._ask(*self._questions.popleft())
-            elif self._open < _OPEN_CHUNKS and (chunk := next(chunks, None)) is not None:
-                self._begin(chunk)
-            elif self._flying:
-                yield ()
-            else:
-                return
+        """Work for the engine whenever it asks; an empty batch to be asked again after a result.
+
+        One question is always on its way to a policy, in a thread of its own, while workers simulate.
+        """
+        with ThreadPoolExecutor(1, "ask") as asker:
+            asking: Future[tuple[_Question, _Answer]] | None = None
+            while True:
+                room = asking is None and not self._questions and self._open < _OPEN_CHUNKS
+                if room and (chunk := next(chunks, None)) is not None:
+                    self._begin(chunk)
+                if asking is None and self._questions:
+                    asking = asker.submit(self._ask, self._questions.popleft())
+                if self._ready:
+                    yield self._ready.popleft()
+                elif asking is not None and (asking.done() or not self._flying):
+                    self._give(*asking.result())
+                    asking = None
+                elif self._flying:
+                    yield ()
+                else:
+                    return
 
     def _begin(self, chunk: Chunk) -> None:
         task, split = chunk.block.task, chunk.block.split
@@ -172,7 +187,9 @@ class Player:
         opened.flying = len(due)
         self._questions.extend((opened, due[n : n + BATCH]) for n in range(0, len(due), BATCH))
 
-    def _ask(self, opened: _Open, due: Sequence[tuple[int, Situation]]) -> None:
+    def _ask(self, question: _Question) -> tuple[_Question, _Answer]:
+        """Observations of the situations of a question, and the actions that its policy chooses; no state changes."""
+        opened, due = question
         indices, situations = zip(*due, strict=True)
         step = situations[0].step
         behaviour = self._behaviour(opened.chunk.block, step)
@@ -181,8 +198,14 @@ class Player:
             ask(behaviour.process, self._backend, situations, observations),
             lambda position, fault: _no_action(behaviour, opened.chunk, indices[position], step, fault),
         )
+        return question, (behaviour, observations, chosen)
+
+    def _give(self, question: _Question, answer: _Answer) -> None:
+        """Queue the jobs of a question that was answered."""
+        opened, due = question
+        behaviour, observations, chosen = answer
         jobs = []
-        for index, situation, observation, action in zip(indices, situations, observations, chosen, strict=True):
+        for (index, situation), observation, action in zip(due, observations, chosen, strict=True):
             key, self._number = self._number, self._number + 1
             self._flying[key] = _Asked(opened, index, situation, observation, action, behaviour)
             jobs.append(Job(key, situation, action))
