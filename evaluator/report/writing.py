@@ -12,6 +12,7 @@ from evaluator.protocol import protocol_hash
 from evaluator.report import content
 from evaluator.report.breakdown import breakdowns, place_map
 from evaluator.report.selection import choose, spread
+from evaluator.run.cells import score
 from evaluator.run.plan import scenario_list
 from evaluator.run.reading import read_run
 from evaluator.run.run import Run
@@ -33,6 +34,7 @@ _SECTIONS = {
     "failures": "Failures",
     "groups": "Groups",
     "place": "Place",
+    "suite": "Suite",
     "gallery": "Episodes",
     "scores": "Scores",
     "timings": "Timings",
@@ -111,7 +113,9 @@ def _words(run: Run) -> dict[str, Any]:
             "Properties of the target are about the episodes that reached the last step, those of tools about all of "
             f"them. {many}"
         )
-    sections = [(key, name) for key, name in _SECTIONS.items() if key != "place" or place is not None]
+    suite = score(run) if run.suite else None
+    absent = {key for key, found in (("place", place), ("suite", suite)) if found is None}
+    sections = [(key, name) for key, name in _SECTIONS.items() if key not in absent]
     rate = "no rate" if run.counts.rate is None else percent(run.counts.rate) + " %"
     return {
         "title": f"{run.policy} on {run.task}: {rate}",
@@ -126,6 +130,7 @@ def _words(run: Run) -> dict[str, Any]:
         "breakdowns": breakdowns(run),
         "groups_note": many,
         "place": place,
+        "suite": suite,
         "timings": content.timings(run),
         "provenance": content.provenance(run),
         "segments": content.segments(run),

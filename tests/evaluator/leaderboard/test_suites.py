@@ -16,7 +16,9 @@ from evaluator.leaderboard.suite_tables import suite_tables
 from evaluator.leaderboard.verification import known
 from evaluator.report.breakdown import breakdowns
 from evaluator.run.reading import read_run
+from evaluator.runner import run_evaluation
 from rema_data.errors import InputError
+from tests.evaluator.fakes import fake_backend, fake_config
 from tests.evaluator.runs import solved, use_installation, write_entry, write_run, write_suite
 
 COUNT = 180
@@ -113,3 +115,36 @@ def test_runs_are_compared_by_cell(runs: list[Path], tmp_path: Path) -> None:
 def test_a_report_has_the_cells(runs: list[Path]) -> None:
     titles = {one.title: len(one.groups) for one in breakdowns(read_run(runs[1]))}
     assert titles["cell of the suite: axis and level"] == 9
+
+
+def test_a_report_has_a_map_of_axes_and_levels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    use_installation(tmp_path, monkeypatch)
+    write_suite(tmp_path / "manifests")
+    page = tmp_path / "page.html"
+    for version in ("tough-v1", None):
+        config = fake_config(
+            tmp_path / f"run-{version}", task="grasp", episodes=COUNT, engine="inline", version=version
+        )
+        run_evaluation(config, backend=fake_backend())
+        arguments = ["report", str(config.output), "--per-label", "0", "--output", str(page)]
+        done = CliRunner().invoke(cli, arguments)
+        assert done.exit_code == 0, done.output
+        text = page.read_text()
+        assert ('id="suite"' in text) == ("clutter 3:" in text) == (version is not None)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--suite", "soft-v1"], "there is no suite 'soft-v1'"),
+        (["--suite", "tough-v1", "--protocol", "end-to-end"], "has no end-to-end protocol"),
+        (["--suite", "tough-v1", "--split", "val"], "has no val list of grasp"),
+        (["--suite", "tough-v1", "--fresh", "3"], "a suite is frozen"),
+        (["--suite", "tough-v1", "--episodes", "181"], "more than the 180 scenarios"),
+        (["--fresh", "-3"], "the seed -3 is not in"),
+        (["--fresh", "3", "--split", "val"], "a fresh list has no val split"),
+    ],
+)
+def test_what_cannot_be_evaluated(runs: list[Path], options: list[str], words: str) -> None:
+    done = CliRunner().invoke(cli, ["evaluate", "random", "--task", "grasp", *options])
+    assert done.exit_code == 2 and words in done.stderr
