@@ -160,9 +160,7 @@ def load_recursion(path: Path) -> RecursionPlan:
     """
     content = read_toml(path)
     own = validated(_Recursion, content, str(path), hint=_HINT)
-    about = {
-        key: value for key, value in content.items() if key not in ("begins_with", "continues", "policies", "rounds")
-    }
+    about = {key: value for key, value in content.items() if key not in _OWN}
     plan = RecursionPlan(path, about, _rounds(path, own), own.policies)
     folders = {network.folder for entry in plan.rounds for network in entry.networks}
     for policy, folder in plan.policies.items():

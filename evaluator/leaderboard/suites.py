@@ -14,13 +14,12 @@ from itertools import combinations
 import numpy as np
 
 from evaluator.leaderboard.eligibility import obstacles
-from evaluator.run.cells import RESAMPLES, SuiteScore, score, solved
+from evaluator.leaderboard.ranking import LEVEL
+from evaluator.run.cells import RESAMPLES, SuiteScore, score_of, solved
 from evaluator.run.run import Run
 from evaluator.statistics import holm, tie_letters
 
 __all__ = ["SuiteRow", "suite_rows"]
-
-LEVEL = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,13 +53,14 @@ def suite_rows(runs: Sequence[Run], clean: Mapping[tuple[str, str], float | None
     known = [run for run in runs if run.suite and run.has_counts]
     reasons = [next((one.reason for one in obstacles(run)), "") for run in known]
     ranked = [n for n, reason in enumerate(reasons) if not reason]
-    again = {n: solved(known[n])[0].hard_again(0) for n in ranked}
+    found = [solved(run) for run in known]
+    again = {n: found[n][0].hard_again for n in ranked}
     pairs = [
         (a, b) for a, b in combinations(ranked, 2) if (known[a].task, known[a].suite) == (known[b].task, known[b].suite)
     ]
     adjusted = holm([_p(again[a] - again[b]) for a, b in pairs])
     different = {pair for pair, p in zip(pairs, adjusted, strict=True) if p <= LEVEL}
-    scores = {n: score(run) for n, run in enumerate(known)}
+    scores = {n: score_of(run.task, *found[n]) for n, run in enumerate(known)}
     order = sorted(range(len(known)), key=lambda n: -(scores[n].hard or -1.0))
     letters: dict[int, str] = {}
     for group in {(run.task, run.suite) for run in known}:

@@ -8,6 +8,7 @@ scenarios, since the levels of an axis share them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -18,10 +19,11 @@ from evaluator.scenarios.axes import AXES
 from evaluator.scenarios.suites import Cell, cells_of
 from rema_data.errors import InputError
 
-__all__ = ["AxisScore", "CellScore", "Solved", "SuiteScore", "score", "solved"]
+__all__ = ["AxisScore", "CellScore", "Solved", "SuiteScore", "score", "score_of", "solved"]
 
 RESAMPLES = 10_000
 _LEVELS = (2.5, 97.5)
+_SEED = 0
 Floats = npt.NDArray[np.float64]
 
 
@@ -91,9 +93,10 @@ class Solved:
         means: Floats = shares[rng.integers(len(shares), size=(RESAMPLES, len(shares)))].mean(axis=1)
         return means
 
-    def hard_again(self, seed: int) -> Floats:
-        """``hard`` over clean scenarios that are drawn again: the same ones for every run with one seed."""
-        rng = np.random.default_rng(seed)
+    @cached_property
+    def hard_again(self) -> Floats:
+        """``hard`` over clean scenarios that are drawn again: the same ones for every run."""
+        rng = np.random.default_rng(_SEED)
         means: Floats = np.mean([self.drawn_again(name, rng) for name in self.counting], axis=0)
         return means
 
@@ -120,10 +123,14 @@ def solved(run: Run) -> tuple[Solved, dict[Cell, CellScore], str]:
     return Solved(axes), counts, listed.version
 
 
-def score(run: Run, *, seed: int = 0) -> SuiteScore:
+def score(run: Run) -> SuiteScore:
     """The score of a run over a suite; InputError for a run over clean scenarios."""
-    found, counts, suite = solved(run)
-    rng = np.random.default_rng(seed)
+    return score_of(run.task, *solved(run))
+
+
+def score_of(task: str, found: Solved, counts: dict[Cell, CellScore], suite: str) -> SuiteScore:
+    """The score of what ``solved`` found in a task."""
+    rng = np.random.default_rng(_SEED)
     axes = tuple(
         AxisScore(
             name,
@@ -135,9 +142,9 @@ def score(run: Run, *, seed: int = 0) -> SuiteScore:
         for name, shares in found.axes.items()
     )
     if not found.whole:
-        return SuiteScore(suite, run.task, axes, None, None)
+        return SuiteScore(suite, task, axes, None, None)
     hard = float(np.mean([axis.mean for axis in axes if axis.counts]))  # type: ignore[arg-type]
-    return SuiteScore(suite, run.task, axes, hard, _interval(found.hard_again(seed)))
+    return SuiteScore(suite, task, axes, hard, _interval(found.hard_again))
 
 
 def _interval(means: Floats) -> tuple[float, float]:

@@ -151,7 +151,7 @@ class Run:
         except MissingFileError:  # there are no lists at all
             return ""
 
-    @property
+    @cached_property
     def suite(self) -> str:
         """The generalisation suite that it was played over; empty for clean scenarios, and lists that are not here."""
         return self.version if self.version and self.version in suites() else ""

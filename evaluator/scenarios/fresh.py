@@ -1,8 +1,8 @@
 """Fresh lists: the distribution of the clean scenarios, from a seed that did not exist when a policy was written.
 
-The frozen lists are public, so a table of 20 kB solves them. A fresh list is drawn from a seed that somebody names now:
-it lies below ``REMA_HOME``, and whoever draws it again gets the same bytes. Its generators have a root of their own, so
-no scenario is one of a frozen list, of a collection, or of another seed.
+The frozen lists are public, so a table of actions solves them. A fresh list is drawn from a seed that somebody names
+now: it lies below ``REMA_HOME``, and the same seed gives the same bytes everywhere. Its generators have a root of their
+own, so no scenario is one of a frozen list, of a collection, or of another seed.
 """
 
 from __future__ import annotations
@@ -12,17 +12,14 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager
 
-from evaluator.scenarios.generation import Drawn, generate_list, picked_list
+from evaluator.scenarios.generation import Drawn, enter_list, generate_list, picked_list
 from evaluator.scenarios.lists import (
     FRESH,
     installed_list,
     load_list,
     manifest_path,
-    update_manifest,
-    write_list,
 )
 from evaluator.scenarios.policy_picks import Picker
-from evaluator.sim.parameters import parameters_hash
 from rema_data.errors import InputError
 from rema_data.locks import lock
 from rema_data.progress import Progress, Silent
@@ -78,18 +75,7 @@ def draw_fresh(
         for one in _drawn(seed, task, count, pool, open_picker):
             drawn.append(one)
             sink.advance(1)
-        file = manifest.parent / f"{task}_test.parquet"
-        update_manifest(
-            manifest,
-            version,
-            f"{task}/test",
-            file=file.name,
-            sha256=write_list(file, [one.scenario for one in drawn]),
-            count=count,
-            seed_domain=f"fresh {seed}",
-            redrawn=sum(one.redrawn for one in drawn),
-            parameters=parameters_hash(),
-        )
+        enter_list(manifest, version, drawn, f"fresh {seed}")
     return version
 
 

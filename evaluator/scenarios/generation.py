@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -33,7 +33,7 @@ from rema_data.progress import Progress, Silent
 from rema_data.repair import restore
 from rema_data.schema import TASKS, Scenario, check_task, tool_steps
 
-__all__ = ["COUNTS", "ROOT_SEED", "draw_scenario", "generate_list", "picked_list", "write_lists"]
+__all__ = ["COUNTS", "ROOT_SEED", "Drawn", "draw_scenario", "enter_list", "generate_list", "picked_list", "write_lists"]
 
 ROOT_SEED = 2112_00359
 """Root of every frozen list; ``test`` and ``val`` are separate domains of it, and collection has a third."""
@@ -146,6 +146,14 @@ def _write(
             hint=f"{restore(file)}; or choose another VERSION",
             path=str(file),
         )
+    enter_list(manifest, version, drawn, f"{ROOT_SEED}/{split}", **origin)
+
+
+def enter_list(manifest: Path, version: str, drawn: Sequence[Drawn], seed_domain: str, **origin: str) -> None:
+    """Write the list of what was drawn beside a manifest, and name it there: see ``update_manifest``."""
+    scenarios = [item.scenario for item in drawn]
+    task, split = scenarios[0].task, scenarios[0].split
+    file = manifest.parent / f"{task}_{split}.parquet"
     update_manifest(
         manifest,
         version,
@@ -153,7 +161,7 @@ def _write(
         file=file.name,
         sha256=write_list(file, scenarios),
         count=len(scenarios),
-        seed_domain=f"{ROOT_SEED}/{split}",
+        seed_domain=seed_domain,
         redrawn=sum(item.redrawn for item in drawn),
         parameters=parameters_hash(),
         **origin,

@@ -13,15 +13,15 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from evaluator.scenarios.axes import AXES, Draw
-from evaluator.scenarios.lists import load_list, manifest_path, update_manifest, write_list
+from evaluator.scenarios.generation import Drawn, enter_list
+from evaluator.scenarios.lists import installed_list, load_list, manifest_path
 from evaluator.scenarios.suites import SUITE, Cell, cells
 from evaluator.sim.kinds import kind_of
-from evaluator.sim.parameters import WORLD, parameters_hash
+from evaluator.sim.parameters import WORLD
 from evaluator.sim.reach import valid_actions
 from evaluator.sim.simulator import Simulator, process_simulator
 from evaluator.sim.varied import standing
@@ -46,14 +46,7 @@ TRIES = 200
 """Actions that are tried on a scenario before it counts as one that cannot be solved."""
 
 
-class Varied(NamedTuple):
-    """A scenario of a cell, and how often it was drawn again."""
-
-    scenario: Scenario
-    redrawn: int
-
-
-def vary(simulator: Simulator, clean: Scenario, cell: Cell) -> Varied:
+def vary(simulator: Simulator, clean: Scenario, cell: Cell) -> Drawn:
     """The scenario of a cell that is made of a clean one: drawn until it can be solved.
 
     Where what is seen or done is not what is there, the clean scenario can be solved as it is.
@@ -68,7 +61,7 @@ def vary(simulator: Simulator, clean: Scenario, cell: Cell) -> Varied:
         variation = made.variation or Variation("", 0, clean.index)
         made = dataclasses.replace(made, variation=dataclasses.replace(variation, axis=cell.axis, level=cell.level))
         if axis.noisy or solvable(simulator, made, rng):
-            return Varied(made, redrawn)
+            return Drawn(made, redrawn)
     raise InputError(
         f"no scenario of {cell.axis}, level {cell.level}, could be made of {cell.task}/{clean.split}/{clean.index}",
         hint="make the level easier",
@@ -101,7 +94,7 @@ def promising(scenario: Scenario, rng: np.random.Generator) -> Iterator[int]:
     yield from (int(actions[one]) for one in chosen)
 
 
-def _vary_chunk(job: tuple[Sequence[Scenario], Cell]) -> list[Varied]:
+def _vary_chunk(job: tuple[Sequence[Scenario], Cell]) -> list[Drawn]:
     clean, cell = job
     return [vary(process_simulator(), one, cell) for one in clean]
 
@@ -133,10 +126,9 @@ def draw_suite(
         write_atomic(manifest, json.dumps({"version": version, SUITE: axes, "lists": {}}, indent=2) + "\n")
     for task in tasks:
         for split, count in (size or CELL).items():
-            file = manifest.parent / f"{task}_{split}.parquet"
-            if file.exists():
+            if installed_list(task, split, version) is not None:
                 continue
-            drawn: list[Varied] = []
+            drawn: list[Drawn] = []
             clean = load_list(task, split).scenarios
             jobs = [
                 (clean[start : min(start + _CHUNK, first + count)], cell)
@@ -150,16 +142,9 @@ def draw_suite(
                 drawn += chunk
                 sink.advance(len(chunk))
             order = shuffled(len(drawn), task, split)
-            scenarios = [dataclasses.replace(drawn[old].scenario, index=new) for new, old in enumerate(order)]
-            update_manifest(
-                manifest,
-                version,
-                f"{task}/{split}",
-                file=file.name,
-                sha256=write_list(file, scenarios),
-                count=len(scenarios),
-                seed_domain=f"{ROOT_SEED}/{split}",
-                redrawn=sum(item.redrawn for item in drawn),
-                parameters=parameters_hash(),
-            )
+            ordered = [
+                one._replace(scenario=dataclasses.replace(one.scenario, index=new))
+                for new, one in enumerate(drawn[old] for old in order)
+            ]
+            enter_list(manifest, version, ordered, f"{ROOT_SEED}/{split}")
     return manifest

@@ -93,12 +93,12 @@ class Attempt:
 
     def check_forbidden(self) -> None:
         """End the attempt if a body that must not touch the target touches it, or anything that moves a post."""
-        touches = [(body, self.target) for body in self.forbidden]
-        touches += [(body, post) for post in self.posts for body in (*self.acting, self.target)]
-        for body, other in touches:
-            if self.world.touching(body, other):
-                self.note(illegal_steps=self.evidence.illegal_steps + 1)
-                raise AttemptFailed(Failure.ILLEGAL_CONTACT)
+        touching = self.world.touching
+        if any(touching(body, self.target) for body in self.forbidden) or (
+            self.posts and any(touching(body, post) for post in self.posts for body in (*self.acting, self.target))
+        ):
+            self.note(illegal_steps=self.evidence.illegal_steps + 1)
+            raise AttemptFailed(Failure.ILLEGAL_CONTACT)
 
     @property
     def acting(self) -> tuple[int, ...]:

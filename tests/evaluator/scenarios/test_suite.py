@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from evaluator.sim.observation import observe
 from evaluator.sim.simulator import Simulator
 from rema_data.errors import InputError
 from rema_data.schema import TASKS
+from tests.evaluator.fakes import InThisProcess
 
 
 def test_numbers_of_axes_are_their_own_and_leave_room_in_the_lists() -> None:
@@ -71,13 +72,6 @@ def few(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     for module in ("suite", "suites"):
         monkeypatch.setattr(f"evaluator.scenarios.{module}.AXES", {name: AXES[name] for name in ("sense", "act")})
     return tmp_path
-
-
-class InThisProcess(Executor):
-    """A pool that is none."""
-
-    def map(self, fn, *iterables, **_):  # type: ignore[no-untyped-def, override]
-        return map(fn, *iterables)
 
 
 def test_a_suite_is_written_once_and_read_back(few: Path) -> None:
