@@ -31,7 +31,7 @@ _PAIRS = 8
 """Scenes and angles that are decoded at a time: what is computed meanwhile fits the processor's caches."""
 _KEPT_HANDS = 8
 """End effectors whose kernels are kept."""
-_MARGIN, _RELATIVE_MARGIN = 0.5, 1 / 32
+_MARGIN, _RELATIVE_MARGIN = 0.25, 1 / 64
 """How far in log odds an angle may lie below the best one at the first look, absolutely and as a share of the best.
 
 `benchmarks/infer.py` measures the errors of bfloat16: a small part of it."""
@@ -146,9 +146,9 @@ class _Part:
 
 
 def multiplies_bfloat16() -> bool:
-    """Whether this processor has units for matrices of bfloat16 (AMX), with which they are many times faster."""
-    supported = getattr(torch.cpu, "_is_amx_tile_supported", None)
-    return bool(supported and supported())
+    """Whether this processor multiplies matrices of bfloat16 (AMX, AVX-512 BF16), several times faster than float32."""
+    instructions = ("_is_amx_tile_supported", "_is_avx512_bf16_supported")
+    return any(getattr(torch.cpu, name, lambda: False)() for name in instructions)
 
 
 def folded(network: TaeNetwork) -> TaeNetwork:

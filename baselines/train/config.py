@@ -37,7 +37,8 @@ class TrainingConfig:
     # of the initial weights, the draws and the augmentations; torch takes the next number, too, and none beyond 63 bits
     seed: Annotated[int, Field(ge=0, lt=2**63 - 1)] = 0
     # of what the layers compute while they learn; the weights, their sums and the validation are float32 either way.
-    # bfloat16 takes half of the time where the processor multiplies matrices of it (AMX, or a GPU)
+    # bfloat16 takes half to two thirds of the time where the processor multiplies matrices of it (AMX,
+    # AVX-512 BF16, or a GPU)
     precision: Literal["float32", "bfloat16"] = "float32"
     validate_every: Positive = 2_000  # updates between two validations
     validation_steps: Annotated[int, Field(ge=2)] = 1_000  # scored, half of them successes if there are as many
