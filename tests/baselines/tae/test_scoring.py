@@ -127,7 +127,7 @@ def test_a_first_look_does_not_decide_what_bfloat16_cannot_tell_apart(monkeypatc
     scorer = looking_first(settled(), monkeypatch)
     asked: list[list[int]] = []
     rough = np.full((16, 64, 64), -9.0, np.float32)
-    rough[3, 30, 30], rough[9, 20, 20], rough[12, 40, 40] = 8.0, 7.3, 7.0  # the margin is 0.5 + 8 / 32
+    rough[3, 30, 30], rough[9, 20, 20], rough[12, 40, 40] = 8.0, 7.7, 7.5  # the margin is 0.25 + 8 / 64
     rough[5, 0, 0] = 99.0  # not a valid place
     assert scorer._rough is not None
     real = scorer._exact.log_odds
