@@ -51,6 +51,7 @@ class Variation:
     sense: Sense | None = None
     register: Displacement | None = None  # of the world against the maps, about the centre of the workspace
     act: Displacement | None = None  # of the hand against its goal, about the hand
+    seen: str = ""  # sha256 of the maps that the last step shows, as they were when the list was frozen
 
 
 def variation_from_dict(row: dict[str, Any]) -> Variation:

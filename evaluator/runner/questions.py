@@ -9,14 +9,15 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from evaluator.protocol import FAULT_CHECK, FAULT_LIMIT
+from evaluator.protocol import FAULT_CHECK, FAULT_LIMIT, FLIP_LIMIT
 from evaluator.rollout.ask import record_answers
 from evaluator.rollout.backend import Backend, PolicyProcess
 from evaluator.run.records import Ledger
 from evaluator.runner.observation_cache import Block, ObservationCache
-from rema_data.errors import PolicyFailureError
+from evaluator.sim.observation import observation_sha256
+from rema_data.errors import IntegrityError, PolicyFailureError
 from rema_data.progress import Progress
-from rema_data.schema import Situation
+from rema_data.schema import Observation, Situation
 
 __all__ = ["Batch", "batches", "check_faults", "infer_batches", "observe_batches", "shuffled"]
 
@@ -91,14 +92,31 @@ def infer_batches(
     progress.phase("infer", sum(len(batch.indices) for batch in wanted))
     block: Block | None = None
     loaded: tuple[Situation, ...] = ()
+    asked = others = 0
     for batch in wanted:
         if block is None or loaded is not batch.block:
             block, loaded = cache.load(batch.block), batch.block
         observations = [block.observation(row) for row in batch.rows]
+        asked, others = asked + len(observations), others + _others(batch.situations, observations)
         record_answers(policy, backend, batch.indices, batch.situations, ledger, observations)
         progress.advance(len(batch.indices))
         if len(ledger.answers) >= FAULT_CHECK:
             check_faults(ledger)
+    if others > FLIP_LIMIT * asked:
+        raise IntegrityError(
+            f"{others:,} of {asked:,} observations are not those that the suite was frozen with",
+            hint="this machine works the noise out differently: use the numpy and scipy that rema was released with",
+            others=others,
+            asked=asked,
+        )
+    if others:
+        progress.note(f"{others:,} of {asked:,} observations differ from the frozen ones, by rounding")
+
+
+def _others(situations: Sequence[Situation], observations: Sequence[Observation]) -> int:
+    """How many observations are not those that their list was frozen with; clean lists do not say."""
+    frozen = ("" if one.variation is None else one.variation.seen for one in situations)
+    return sum(known not in ("", observation_sha256(seen)) for known, seen in zip(frozen, observations, strict=True))
 
 
 def check_faults(ledger: Ledger) -> None:

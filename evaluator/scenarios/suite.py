@@ -21,6 +21,7 @@ from evaluator.scenarios.generation import Drawn, enter_list
 from evaluator.scenarios.lists import installed_list, load_list, manifest_path
 from evaluator.scenarios.suites import SUITE, Cell, cells
 from evaluator.sim.kinds import kind_of
+from evaluator.sim.observation import observation_sha256, observe
 from evaluator.sim.parameters import WORLD
 from evaluator.sim.reach import valid_actions
 from evaluator.sim.simulator import Simulator, process_simulator
@@ -58,8 +59,9 @@ def vary(simulator: Simulator, clean: Scenario, cell: Cell) -> Drawn:
         made = axis.vary(clean, cell.level, Draw(rng, simulator))
         if made is None:
             continue
-        variation = made.variation or Variation("", 0, clean.index)
-        made = dataclasses.replace(made, variation=dataclasses.replace(variation, axis=cell.axis, level=cell.level))
+        named = dataclasses.replace(made.variation or Variation("", 0, clean.index), axis=cell.axis, level=cell.level)
+        seen = observation_sha256(observe(dataclasses.replace(made, variation=named).last_situation()))
+        made = dataclasses.replace(made, variation=dataclasses.replace(named, seen=seen))
         if axis.noisy or solvable(simulator, made, rng):
             return Drawn(made, redrawn)
     raise InputError(

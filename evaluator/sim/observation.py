@@ -7,6 +7,7 @@ observes without a simulator alive.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 
 import numpy as np
@@ -21,7 +22,7 @@ from evaluator.sim.varied import parameters_of, standing
 from rema_data.grid import EE_HALF_M, EE_PIXELS, SCENE_HALF_M, SCENE_PIXELS
 from rema_data.schema import HEIGHT_STEP_M, Observation, Situation
 
-__all__ = ["SLAB_M", "end_effector_states", "observe", "paint_parts"]
+__all__ = ["SLAB_M", "end_effector_states", "observation_sha256", "observe", "paint_parts"]
 
 SLAB_M = 0.05
 """Height of the end-effector map's bounds (paper, Table 1): what is higher than this above the lowest allowed point is
@@ -49,6 +50,14 @@ def observe(situation: Situation, parameters: WorldParameters = WORLD) -> Observ
     if situation.variation is None or situation.variation.sense is None:
         return seen
     return sensed(seen, situation.variation.sense)
+
+
+def observation_sha256(seen: Observation) -> str:
+    """sha256 of the maps, hexadecimal: scene, depths (uint16, little endian), then the masks, a bit a pixel."""
+    found = hashlib.sha256(seen.scene.astype("<u2").tobytes())
+    found.update(seen.depth.astype("<u2").tobytes())
+    found.update(np.packbits(seen.mask).tobytes())
+    return found.hexdigest()
 
 
 def paint_parts(parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:

@@ -13,7 +13,7 @@ from evaluator.scenarios.axes import AXES
 from evaluator.scenarios.lists import versions
 from evaluator.scenarios.suite import CELL, draw_suite, shuffled, vary
 from evaluator.scenarios.suites import Cell, cells, cells_of, suite_length, suites
-from evaluator.sim.observation import observe
+from evaluator.sim.observation import observation_sha256, observe
 from evaluator.sim.simulator import Simulator
 from rema_data.errors import InputError
 from rema_data.schema import TASKS
@@ -53,6 +53,7 @@ def test_a_scenario_of_a_cell(simulator: Simulator, cell: Cell) -> None:
     seen, before = observe(made.last_situation()), observe(clean.last_situation())
     same = np.array_equal(seen.scene, before.scene) and np.array_equal(seen.depth, before.depth)
     assert same == (cell.axis in ("register", "act", "physics"))
+    assert variation.seen == observation_sha256(seen)
 
 
 def test_the_order_says_nothing_about_cells() -> None:
