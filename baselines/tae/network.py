@@ -24,7 +24,7 @@ from torch import Tensor, nn
 from baselines.tae.correlation import cross_convolve
 from rema_data.errors import InputError
 
-__all__ = ["HEIGHT_SCALE_M", "Architecture", "TaeNetwork"]
+__all__ = ["HEIGHT_SCALE_M", "Architecture", "Residual", "TaeNetwork"]
 
 _WIDEST = 512
 _WIDTHS = f"a multiple of 4, at most {_WIDEST}"
@@ -119,8 +119,8 @@ class TaeNetwork(nn.Module):
             _conv(quarter, half, stride=2),
             _conv(half, wide, stride=architecture.scene_stride // 2),
             _conv(wide, wide, kernel=1),
-            _Residual(wide),
-            _Residual(wide),
+            Residual(wide),
+            Residual(wide),
             _plain(wide, quarter),
             nn.ReLU(),
         )
@@ -131,21 +131,21 @@ class TaeNetwork(nn.Module):
             _conv(4, quarter),
             *halvings,
             _plain(wide, wide, kernel=1),
-            _Residual(wide),
-            _Residual(wide),
+            Residual(wide),
+            Residual(wide),
             _plain(wide, quarter),
             nn.ReLU(),
         )
         self.decoder = nn.Sequential(
             _plain(quarter, wide),
             nn.ReLU(),
-            _Residual(wide),
+            Residual(wide),
             _conv(wide, wide),
             _Doubled(corners) if architecture.scene_stride == 4 else nn.Identity(),
-            _Residual(wide),
+            Residual(wide),
             _conv(wide, half),
             _Doubled(corners),
-            _Residual(half),
+            Residual(half),
             _plain(half, 2, kernel=1, bias=False),
         )
 
@@ -166,9 +166,14 @@ class TaeNetwork(nn.Module):
         end_effector : float (N, 4, 112, 112)
             Depth (m), mask, depth (m), mask; already turned to the angle that is asked about.
         """
-        scale = end_effector.new_tensor([1 / HEIGHT_SCALE_M, 1.0, 1 / HEIGHT_SCALE_M, 1.0])
-        kernels: Tensor = self.ee_encoder(end_effector * scale[:, None, None])
+        kernels: Tensor = self.ee_encoder(self.scaled(end_effector))
         return kernels
+
+    @staticmethod
+    def scaled(end_effector: Tensor) -> Tensor:
+        """End-effector maps as the encoder's layers see them."""
+        scale = end_effector.new_tensor([1 / HEIGHT_SCALE_M, 1.0, 1 / HEIGHT_SCALE_M, 1.0])
+        return end_effector * scale[:, None, None]
 
     def decode(self, features: Tensor, kernels: Tensor) -> Tensor:
         """Logits float (N, 2, 64, 64) of failure and success at every place, from features and kernels of N pairs."""
@@ -183,7 +188,7 @@ class TaeNetwork(nn.Module):
         return self.decode(self.encode_scene(scene), self.encode_end_effector(end_effector))
 
 
-class _Residual(nn.Module):
+class Residual(nn.Module):
     """Two 3 x 3 convolutions beside an identity."""
 
     def __init__(self, channels: int) -> None:

@@ -1,8 +1,9 @@
 """Maps of success: what a network says of every place and angle of some scenes.
 
 The scene is encoded once for all angles, an end effector once for all scenes that it meets; bare hands, which most
-steps have, keep their kernels. Hands that look the same turned by half, as bare ones do, are scored at half of the
-angles. Batch normalisation is folded into the convolutions. All of it gives the same numbers up to rounding.
+steps have, keep their kernels; of other maps only the part that is not empty is encoded. Hands that look the same
+turned by half, as bare ones do, are scored at half of the angles. Batch normalisation is folded into the convolutions.
+All of it gives the same numbers up to rounding.
 
 Where only the best action is wanted, and the processor multiplies matrices of bfloat16, a first look in these decides
 which angles can have it: about two of sixteen. Only they are scored in float32, so the answer is that of float32.
@@ -23,6 +24,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from baselines.tae.network import TaeNetwork
 from baselines.tae.openvino import OPENVINO, compiled
 from baselines.tae.rotation import turn_end_effector
+from baselines.tae.windows import WindowedEncoder
 from rema_data.grid import ANGLES, SCENE_PIXELS
 
 __all__ = ["Scorer", "multiplies_bfloat16"]
@@ -57,10 +59,11 @@ class Scorer:
         where = torch.device("cpu" if device == OPENVINO else device)
         placed = folded(network).placed(where)
         # One kernel at a time: it must not depend on which others are computed with it.
-        self._exact = _Part(compiled(placed) if device == OPENVINO else placed, where, torch.float32, 1)
+        exact = compiled(placed) if device == OPENVINO else placed
+        self._exact = _Part(exact, where, torch.float32, 1, windows=placed is exact and where.type == "cpu")
         self._rough = None
         if where.type == "cpu" and multiplies_bfloat16():
-            self._rough = _Part(copy.deepcopy(placed).to(torch.bfloat16), where, torch.bfloat16, _PAIRS)
+            self._rough = _Part(copy.deepcopy(placed).to(torch.bfloat16), where, torch.bfloat16, _PAIRS, windows=True)
 
     def log_odds(
         self,
@@ -106,8 +109,11 @@ class Scorer:
 class _Part:
     """A network that computes in one type of numbers, and the kernels of the last end effectors."""
 
-    def __init__(self, network: TaeNetwork, device: torch.device, dtype: torch.dtype, at_once: int) -> None:
+    def __init__(
+        self, network: TaeNetwork, device: torch.device, dtype: torch.dtype, at_once: int, *, windows: bool
+    ) -> None:
         self._network, self._device, self._dtype, self._at_once = network, device, dtype, at_once
+        self._encode = WindowedEncoder(network) if windows else self._encode_whole
         self._kernels: OrderedDict[bytes, dict[int, Tensor]] = OrderedDict()
 
     @torch.inference_mode()
@@ -135,10 +141,12 @@ class _Part:
         if missing:
             planes = self._placed(np.moveaxis(hand, -1, 0)[None], torch.float32)
             turned = turn_end_effector(planes.expand(len(missing), -1, -1, -1), torch.tensor(missing).to(planes.device))
-            laid = turned.to(self._dtype).contiguous(memory_format=torch.channels_last)
-            made = [self._network.encode_end_effector(some) for some in torch.split(laid, self._at_once)]
+            made = [self._encode(some) for some in torch.split(turned, self._at_once)]
             kept.update(zip(missing, torch.split(torch.cat(made), 1), strict=True))
         return torch.cat([kept[angle] for angle in chosen.tolist()])
+
+    def _encode_whole(self, turned: Tensor) -> Tensor:
+        return self._network.encode_end_effector(turned.to(self._dtype, memory_format=torch.channels_last))
 
     def _placed(self, maps: npt.NDArray[np.float32], dtype: torch.dtype | None = None) -> Tensor:
         tensor = torch.from_numpy(np.ascontiguousarray(maps)).to(self._device, dtype or self._dtype)

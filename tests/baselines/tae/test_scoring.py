@@ -81,21 +81,21 @@ def test_scenes_and_hands_are_encoded_once(monkeypatch: pytest.MonkeyPatch) -> N
     hands = np.concatenate([bare.end_effector, tool.end_effector, bare.end_effector])
     network = settled()
     scorer, alone = Scorer(network), Scorer(network)
-    encoded = {"encode_scene": 0, "encode_end_effector": 0}
+    encoded = {"scene": 0, "hand": 0}
 
-    def counted(name: str) -> Callable[[torch.Tensor], torch.Tensor]:
-        real = getattr(scorer._exact._network, name)
+    def counted(name: str, real: Callable[[torch.Tensor], torch.Tensor]) -> Callable[[torch.Tensor], torch.Tensor]:
 
         def call(given: torch.Tensor) -> torch.Tensor:
             encoded[name] += len(given)
-            return real(given)  # type: ignore[no-any-return]
+            return real(given)
 
         return call
 
-    for name in encoded:
-        monkeypatch.setattr(scorer._exact._network, name, counted(name))
+    exact = scorer._exact
+    monkeypatch.setattr(exact._network, "encode_scene", counted("scene", exact._network.encode_scene))
+    monkeypatch.setattr(exact, "_encode", counted("hand", exact._encode))
     found = [scorer.log_odds(scene, hands, 16) for _ in range(2)]
-    assert encoded == {"encode_scene": 2 * 3, "encode_end_effector": 8 + 16}  # a bare hand has half of the angles
+    assert encoded == {"scene": 2 * 3, "hand": 8 + 16}  # a bare hand has half of the angles
     one_by_one = np.concatenate([alone.log_odds(scene[n : n + 1], hands[n : n + 1], 16) for n in range(3)])
     for maps in found:
         np.testing.assert_allclose(maps, one_by_one, atol=1e-5)
