@@ -5,8 +5,9 @@
 
 Plain: every scene with every angle goes through the whole network, as it was trained, 16 pairs at a time. All score
 the same scenarios of the validation lists; the share of equal decisions (the same best valid action) is counted, and
-the others are named. Ours is timed in torch, and in OpenVINO where it is installed; where the processor multiplies
-matrices of bfloat16, also without the first look in these, whose errors are measured at the best action of each angle.
+the others are named. Ours is timed in torch, also with whole end-effector maps, and in OpenVINO where it is installed;
+where the processor multiplies matrices of bfloat16, also without the first look in these, whose errors are measured at
+the best action of each angle.
 ``--runtimes`` also runs the decoder, most of the work, in torch.compile, ONNX Runtime and OpenVINO where they are
 installed (pip install onnx onnxscript onnxruntime openvino).
 """
@@ -94,6 +95,7 @@ def measure(checkpoint: Path, task: str, scenarios: int, repeats: int) -> dict[s
     ways: dict[str, Callable[[ObservationBatch], np.ndarray]] = {
         "plain": lambda question: plain(network, question, angles),
         "ours": TaePolicy(checkpoint).act,
+        "ours, whole maps": with_whole_maps(TaePolicy(checkpoint)).act,
     }
     if multiplies_bfloat16():
         ways["ours, no first look"] = without_look(TaePolicy(checkpoint)).act
@@ -123,9 +125,22 @@ def measure(checkpoint: Path, task: str, scenarios: int, repeats: int) -> dict[s
 
 def without_look(policy: TaePolicy) -> TaePolicy:
     """The same policy, whose scorers compute every angle in float32."""
-    for scorer in (*policy._by_skill.values(), *policy._by_primitive.values()):
+    for scorer in scorers(policy):
         scorer._rough = None
     return policy
+
+
+def with_whole_maps(policy: TaePolicy) -> TaePolicy:
+    """The same policy, which encodes the empty part of end-effector maps, too."""
+    for scorer in scorers(policy):
+        for part in filter(None, (scorer._exact, scorer._rough)):
+            part._encode = part._encode_whole
+    return policy
+
+
+def scorers(policy: TaePolicy) -> tuple[Scorer, ...]:
+    """What a policy scores with."""
+    return (*policy._by_skill.values(), *policy._by_primitive.values())
 
 
 def look_errors(network: TaeNetwork, asked: list[ObservationBatch], angles: int) -> dict[str, float]:
