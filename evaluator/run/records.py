@@ -72,6 +72,7 @@ class Journal:
         self._sync_s = sync_s
         self._descriptor: int | None = None
         self._synced = time.monotonic()
+        self._waiting = False  # are there lines that may not have reached the disk?
 
     def append(self, rows: Iterable[dict[str, Any]]) -> None:
         """Write rows. Where the disk is full (StorageError), rows written before stay readable."""
@@ -85,14 +86,16 @@ class Journal:
                 sync_folder(self.path.parent)
             while payload:
                 payload = payload[os.write(self._descriptor, payload) :]
+            self._waiting = True
         if time.monotonic() - self._synced >= self._sync_s:
             self.sync()
 
     def sync(self) -> None:
         """Wait until every line is on the disk."""
-        if self._descriptor is not None:
+        if self._descriptor is not None and self._waiting:
             with storage_errors(self.path):
                 os.fsync(self._descriptor)
+            self._waiting = False
         self._synced = time.monotonic()
 
     def close(self) -> None:
@@ -270,13 +273,13 @@ class Ledger(Records):
         self._outcomes = Journal(folder, OUTCOMES, segment)
 
     def add_answers(self, records: Iterable[Answered]) -> None:
-        """Record answers and wait until they are on the disk; a step keeps its first answer."""
+        """Record answers; a step keeps its first one."""
         new = [record for record in records if self._keep_answer(record)]
-        self._answers.append({k: v for k, v in asdict(record).items() if k != "segment"} for record in new)
-        self._answers.sync()
+        self._answers.append({name: getattr(record, name) for name in _AnswerRow.__annotations__} for record in new)
 
     def add_outcomes(self, records: Iterable[Simulated]) -> None:
-        """Record outcomes."""
+        """Record outcomes, once the answers before them are on the disk."""
+        self._answers.sync()
         rows = []
         for record in records:
             self._keep_outcome(record)

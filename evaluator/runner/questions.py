@@ -1,6 +1,6 @@
 """The questions of a step, in batches: all are observed into the cache, then the policy is asked.
 
-Its answers are on disk before anything is simulated.
+Its answers are on disk before what comes of them is.
 """
 
 from __future__ import annotations
