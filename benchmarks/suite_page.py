@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from benchmarks.baseline_tables import markdown
 from benchmarks.results import ROOT
 from evaluator.scenarios import load_list
-from evaluator.scenarios.axes import AXES
+from evaluator.scenarios.axes import AXES, Axis
 from evaluator.scenarios.suite import CELL, TRIES, vary
 from evaluator.scenarios.suites import cells
 from evaluator.sim.observation import observe
@@ -87,13 +87,19 @@ def axes_table() -> str:
         [
             f"`{axis.name}`",
             axis.title,
-            "; ".join(f"{number}: {level}" for number, level in enumerate(axis.levels, 1)),
+            "; ".join(f"{number}: {level}{without(axis, number)}" for number, level in enumerate(axis.levels, 1)),
             "all" if set(axis.tasks) == set(TASKS) else ", ".join(axis.tasks),
             "yes" if axis.counts else "no",
         ]
         for axis in AXES.values()
     ]
     return markdown(["axis", "what changes", "levels", "tasks", "in `hard`"], rows)
+
+
+def without(axis: Axis, level: int) -> str:
+    """In which tasks a level is left out."""
+    tasks = [task for task, levels in axis.left_out.items() if level in levels]
+    return f" (not in {', '.join(tasks)})" if tasks else ""
 
 
 def draw(task: str, path: Path) -> None:

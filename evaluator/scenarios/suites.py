@@ -49,12 +49,7 @@ class Cell(NamedTuple):
 
 def cells(task: str) -> list[Cell]:
     """The cells of a task, axis after axis."""
-    return [
-        Cell(task, axis.name, level)
-        for axis in AXES.values()
-        if task in axis.tasks
-        for level in range(1, len(axis.levels) + 1)
-    ]
+    return [Cell(task, axis.name, level) for axis in AXES.values() for level in axis.levels_in(task)]
 
 
 def cells_of(listed: ScenarioList) -> dict[Cell, list[int]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -38,7 +39,16 @@ class Axis(ABC):
     levels: ClassVar[tuple[str, ...]]  # what each level is, for people: the first one changes least
     tasks: ClassVar[tuple[str, ...]] = tuple(TASKS)
     counts: ClassVar[bool] = True  # whether its mean counts in ``hard``
-    noisy: ClassVar[bool] = False  # whether what is seen, or where the hand goes, is not what is there
+    # whether only what is seen, or where the hand goes, is not what is there: the clean scenario's solution then holds
+    noisy: ClassVar[bool] = False
+
+    left_out: ClassVar[Mapping[str, tuple[int, ...]]] = {}  # levels that are not played in a task, by task
+
+    def levels_in(self, task: str) -> list[int]:
+        """The levels that are played in a task, from 1; none where the task does not have the axis."""
+        if task not in self.tasks:
+            return []
+        return [level for level in range(1, len(self.levels) + 1) if level not in self.left_out.get(task, ())]
 
     @abstractmethod
     def vary(self, scenario: Scenario, level: int, draw: Draw) -> Scenario | None:

@@ -41,6 +41,7 @@ class Sizes(Axis):
     name, number = "size", 2
     title = "targets outside of the training sizes (70 to 130 mm long, 20 to 45 mm wide, 30 mm high)"
     levels = ("50 to 70 mm wide", "140 to 190 mm long", "75 to 95 mm wide", "15 mm high", "45 mm high")
+    left_out: ClassVar = {"grasp_grasp": (1, 3)}  # sticks lift few of the wide ones, or none
     _widths: ClassVar = {1: (0.050, 0.070), 3: (0.075, 0.095)}
     _heights: ClassVar = {4: 0.015, 5: 0.045}
 
