@@ -67,11 +67,15 @@ def scenarios(
 
     processes = workers or default_workers()
     if is_suite:
+        from evaluator.run.environment import source_digest
         from evaluator.scenarios.suite import CELL, draw_suite
+        from evaluator.sim import DECIDES
 
         size = dict(zip(CELL, cell_counts, strict=True)) if cell_counts else None
+        code = source_digest(*DECIDES, "evaluator.scenarios")
         with StderrProgress() as progress, process_pool(processes) as pool:
-            line(str(draw_suite(version, pool, tasks or tuple(TASKS), size, progress=progress)))
+            manifest = draw_suite(version, pool, tasks or tuple(TASKS), size, identity=code, progress=progress)
+        line(str(manifest))
         return
     opened: AbstractContextManager[Picker | None] = nullcontext()
     if picker is not None:

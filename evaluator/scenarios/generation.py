@@ -33,7 +33,18 @@ from rema_data.progress import Progress, Silent
 from rema_data.repair import restore
 from rema_data.schema import TASKS, Scenario, check_task, tool_steps
 
-__all__ = ["COUNTS", "ROOT_SEED", "Drawn", "draw_scenario", "enter_list", "generate_list", "picked_list", "write_lists"]
+__all__ = [
+    "COUNTS",
+    "ROOT_SEED",
+    "Drawn",
+    "draw_scenario",
+    "enter_list",
+    "generate_list",
+    "named_list",
+    "picked_list",
+    "write_lists",
+    "write_named",
+]
 
 ROOT_SEED = 2112_00359
 """Root of every frozen list; ``test`` and ``val`` are separate domains of it, and collection has a third."""
@@ -110,7 +121,7 @@ def write_lists(
         if count < 1:
             raise InputError(f"a {split} list of {count} scenarios", hint="give each split at least one", count=count)
         for task in (*keep, *tasks):
-            entry = _entries(manifest).get(f"{check_task(task)}/{split}")
+            entry = named_list(manifest, task, split)
             if entry is not None and (manifest.parent / entry["file"]).exists():
                 continue
             if task in keep or (picker is not None and not tool_steps(task)):
@@ -122,7 +133,7 @@ def write_lists(
             for item in picked or generate_list(task, split, count, pool):
                 drawn.append(item)
                 sink.advance(1)
-            _write(manifest, version, drawn, entry, origin)
+            write_named(manifest, version, drawn, entry, **origin)
     return manifest
 
 
@@ -133,10 +144,18 @@ def _entries(manifest: Path) -> dict[str, dict[str, Any]]:
     return read_manifest(manifest, "scenario manifest", lambda content: dict(content["lists"]))
 
 
-def _write(
-    manifest: Path, version: str, drawn: list[Drawn], named: dict[str, Any] | None, origin: dict[str, str]
+def named_list(manifest: Path, task: str, split: str) -> dict[str, Any] | None:
+    """What a manifest says of a list; None where it does not name it, or does not exist."""
+    return _entries(manifest).get(f"{check_task(task)}/{split}")
+
+
+def write_named(
+    manifest: Path, version: str, drawn: Sequence[Drawn], named: dict[str, Any] | None, **origin: Any
 ) -> None:
-    """Write a list and name it in the manifest, whose entry for it was ``named`` so far."""
+    """Write a list and name it in the manifest, whose entry for it was ``named`` so far.
+
+    Raises IntegrityError where the manifest names another list.
+    """
     scenarios = [item.scenario for item in drawn]
     task, split = scenarios[0].task, scenarios[0].split
     file = manifest.parent / f"{task}_{split}.parquet"
@@ -146,10 +165,10 @@ def _write(
             hint=f"{restore(file)}; or choose another VERSION",
             path=str(file),
         )
-    enter_list(manifest, version, drawn, f"{ROOT_SEED}/{split}", **origin)
+    enter_list(manifest, version, drawn, **{"seed_domain": f"{ROOT_SEED}/{split}"} | origin)
 
 
-def enter_list(manifest: Path, version: str, drawn: Sequence[Drawn], seed_domain: str, **origin: str) -> None:
+def enter_list(manifest: Path, version: str, drawn: Sequence[Drawn], seed_domain: str, **origin: Any) -> None:
     """Write the list of what was drawn beside a manifest, and name it there: see ``update_manifest``."""
     scenarios = [item.scenario for item in drawn]
     task, split = scenarios[0].task, scenarios[0].split

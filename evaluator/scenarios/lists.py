@@ -43,6 +43,7 @@ from rema_data.variation import compact, variation_from_dict
 
 __all__ = [
     "ScenarioList",
+    "decode_list",
     "encode_list",
     "installed_list",
     "list_length",
@@ -170,7 +171,7 @@ def write_list(path: Path, scenarios: Sequence[Scenario]) -> str:
 
 
 def update_manifest(
-    path: Path, version: str, entry: str, *, file: str, sha256: str, count: int, seed_domain: str, **origin: str | int
+    path: Path, version: str, entry: str, *, file: str, sha256: str, count: int, seed_domain: str, **origin: Any
 ) -> None:
     """Add or replace one list in the manifest at ``path``; it is created where it is missing.
 
@@ -312,6 +313,11 @@ def _read(path: Path, listed: _Entry, task: str, split: str) -> tuple[Scenario, 
         raise IntegrityError(
             f"scenario list {path} holds a scenario that cannot be: {error}", hint=restore(path), path=str(path)
         ) from error
+
+
+def decode_list(payload: bytes, count: int, task: str, split: str) -> tuple[Scenario, ...]:
+    """Inverse of ``encode_list``; a ValueError, KeyError or TypeError for anything else."""
+    return _scenarios(parquet_table(payload, count), task, split)
 
 
 def _scenarios(table: pa.Table, task: str, split: str) -> tuple[Scenario, ...]:

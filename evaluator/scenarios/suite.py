@@ -10,15 +10,19 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import shutil
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from evaluator.scenarios.axes import AXES, Draw
-from evaluator.scenarios.generation import Drawn, enter_list
-from evaluator.scenarios.lists import installed_list, load_list, manifest_path
+from evaluator.scenarios.drawn import keep, kept, work_folder
+from evaluator.scenarios.generation import Drawn, named_list, write_named
+from evaluator.scenarios.lists import load_list, manifest_path
 from evaluator.scenarios.suites import SUITE, Cell, cells
 from evaluator.sim.kinds import kind_of
 from evaluator.sim.observation import observation_sha256, observe
@@ -112,11 +116,13 @@ def draw_suite(
     tasks: Sequence[str] = tuple(TASKS),
     size: Mapping[str, int] | None = None,
     *,
+    identity: str = "",
     progress: Progress | None = None,
 ) -> Path:
     """Write the lists of a suite and their manifest, ``manifests/scenarios/VERSION``; a list that is there stays.
 
-    ``size`` has the scenarios of a cell in each split, by default ``CELL``. Returns the manifest's path.
+    ``size`` has the scenarios of a cell in each split, by default ``CELL``; ``identity`` is that of the code that
+    draws. What was drawn before an interruption is not drawn again. Returns the manifest's path.
     """
     sink, manifest = progress or Silent(), manifest_path(version)
     if not manifest.exists():
@@ -128,25 +134,58 @@ def draw_suite(
         write_atomic(manifest, json.dumps({"version": version, SUITE: axes, "lists": {}}, indent=2) + "\n")
     for task in tasks:
         for split, count in (size or CELL).items():
-            if installed_list(task, split, version) is not None:
+            entry = named_list(manifest, task, split)
+            if entry is not None and (manifest.parent / entry["file"]).exists():
                 continue
-            drawn: list[Drawn] = []
-            clean = load_list(task, split).scenarios
-            jobs = [
-                (clean[start : min(start + _CHUNK, first + count)], cell)
+            work = work_folder(manifest, task, split)
+            parts = [
+                _Part(cell, start, min(start + _CHUNK, first + count))
                 for cell in cells(task)
                 for first in (AXES[cell.axis].number * count,)
                 for start in range(first, first + count, _CHUNK)
             ]
-            sink.phase(f"{task}/{split}", sum(len(scenarios) for scenarios, _ in jobs))
-            for chunk in pool.map(_vary_chunk, jobs):
-                check()
-                drawn += chunk
-                sink.advance(len(chunk))
+            sink.phase(f"{task}/{split}", sum(part.stop - part.start for part in parts))
+            own = work / hashlib.sha256(identity.encode()).hexdigest()[:16]
+            drawn = [one for chunk in _drawn(parts, split, pool, own, sink) for one in chunk]
             order = shuffled(len(drawn), task, split)
             ordered = [
                 one._replace(scenario=dataclasses.replace(one.scenario, index=new))
                 for new, one in enumerate(drawn[old] for old in order)
             ]
-            enter_list(manifest, version, ordered, f"{ROOT_SEED}/{split}")
+            again = Counter({f"{part.cell.axis} {part.cell.level}": 0 for part in parts})
+            for one in drawn:
+                assert one.scenario.variation is not None
+                again[f"{one.scenario.variation.axis} {one.scenario.variation.level}"] += one.redrawn
+            domain = f"{ROOT_SEED}/{split}"
+            write_named(manifest, version, ordered, entry, seed_domain=domain, redrawn_by_cell=dict(again))
+            shutil.rmtree(work, ignore_errors=True)
     return manifest
+
+
+class _Part(NamedTuple):
+    """Some scenarios of a cell: those that are made of the clean ones ``start`` to ``stop``."""
+
+    cell: Cell
+    start: int
+    stop: int
+
+    @property
+    def name(self) -> str:
+        return f"{self.cell.axis}-{self.cell.level}-{self.start:05d}-{self.stop:05d}"
+
+
+def _drawn(parts: Sequence[_Part], split: str, pool: Executor, work: Path, sink: Progress) -> Iterator[list[Drawn]]:
+    """What belongs to each part, in order; what is not in the work folder is drawn, and kept there."""
+    task = parts[0].cell.task
+    clean = load_list(task, split).scenarios
+    found = {part: kept(work, part.name, task, split) for part in parts}
+    missing = [part for part, there in found.items() if there is None]
+    made = pool.map(_vary_chunk, [(clean[part.start : part.stop], part.cell) for part in missing])
+    for part in parts:
+        chunk = found[part]
+        if chunk is None:
+            chunk = next(made)
+            keep(work, part.name, chunk)
+        check()
+        sink.advance(len(chunk))
+        yield chunk

@@ -6,7 +6,7 @@ import math
 
 from evaluator.scenarios.axes.base import Axis, Draw, varied
 from evaluator.sim.parameters import WORLD
-from rema_data.schema import Scenario
+from rema_data.schema import TASKS, Scenario
 
 __all__ = ["Physics"]
 
@@ -19,6 +19,7 @@ class Physics(Axis):
         "friction of the objects, their density, and the target's centre of mass off its middle (share of its length)"
     )
     _levels = ((0.7, 2.0, 0.10), (0.5, 4.0, 0.20), (0.35, 6.0, 0.30))
+    tasks = tuple(task for task in TASKS if task != "grasp_grasp")  # sticks lift few such objects, or none
     levels = tuple(f"x {friction:g}, x {density:g}, {100 * off:.0f} %" for friction, density, off in _levels)
 
     def vary(self, scenario: Scenario, level: int, draw: Draw) -> Scenario:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from evaluator.scenarios import load_list
 from evaluator.scenarios.axes import AXES
+from evaluator.scenarios.drawn import work_folder
 from evaluator.scenarios.lists import versions
 from evaluator.scenarios.suite import CELL, draw_suite, shuffled, vary
 from evaluator.scenarios.suites import Cell, cells, cells_of, suite_length, suites
@@ -101,3 +104,43 @@ def test_workers_change_nothing(few: Path) -> None:
 
 def test_a_clean_list_has_no_cells() -> None:
     assert cells_of(load_list("grasp", "val")) == {}
+
+
+class _Interrupted(InThisProcess):
+    """Draws a few parts, and is then interrupted."""
+
+    def __init__(self, parts: int) -> None:
+        self.left, self.asked = parts, 0
+
+    def map(self, function: Any, *jobs: Any, **_: Any) -> Any:
+        for job in zip(*jobs, strict=True):
+            if not self.left:
+                raise KeyboardInterrupt
+            self.left -= 1
+            self.asked += 1
+            yield function(*job)
+
+
+def test_what_was_drawn_before_an_interruption_is_not_drawn_again(few: Path) -> None:
+    whole = draw_suite("whole", InThisProcess(), ["grasp"], {"val": 2}, identity="code")
+    with pytest.raises(KeyboardInterrupt):
+        draw_suite("part", _Interrupted(4), ["grasp"], {"val": 2}, identity="code")
+    work = work_folder(whole.parents[1] / "part" / "manifest.json", "grasp", "val")
+    parts = sorted(work.rglob("*.parquet"))
+    assert len(parts) == 4
+    parts[0].write_bytes(parts[0].read_bytes()[:-1])  # damaged: drawn again
+    rest = _Interrupted(100)
+    made = draw_suite("part", rest, ["grasp"], {"val": 2}, identity="code")
+    assert rest.asked == 6 - 3 and not work.exists()
+    for name in ("grasp_val.parquet",):
+        assert (made.parent / name).read_bytes() == (whole.parent / name).read_bytes()
+    (made.parent / "grasp_val.parquet").unlink()  # the manifest still names it: drawn again, and the same
+    draw_suite("part", InThisProcess(), ["grasp"], {"val": 2}, identity="other code")
+    assert (made.parent / "grasp_val.parquet").read_bytes() == (whole.parent / "grasp_val.parquet").read_bytes()
+
+
+def test_the_manifest_counts_what_was_drawn_again_by_cell(few: Path) -> None:
+    manifest = draw_suite("counted", InThisProcess(), ["grasp"], {"val": 2})
+    entry = json.loads(manifest.read_bytes())["lists"]["grasp/val"]
+    assert set(entry["redrawn_by_cell"]) == {f"{axis} {level}" for axis in ("sense", "act") for level in (1, 2, 3)}
+    assert sum(entry["redrawn_by_cell"].values()) == entry["redrawn"]
