@@ -19,7 +19,8 @@ class Physics(Axis):
         "friction of the objects, their density, and the target's centre of mass off its middle (share of its length)"
     )
     _levels = ((0.7, 2.0, 0.10), (0.5, 4.0, 0.20), (0.35, 6.0, 0.30))
-    tasks = tuple(task for task in TASKS if task != "grasp_grasp")  # sticks lift few such objects, or none
+    # two sticks hold few such objects, or none
+    tasks = tuple(task for task, steps in TASKS.items() if not any(kind.embodiment.two_arms for kind in steps))
     levels = tuple(f"x {friction:g}, x {density:g}, {100 * off:.0f} %" for friction, density, off in _levels)
 
     def vary(self, scenario: Scenario, level: int, draw: Draw) -> Scenario:
