@@ -128,7 +128,7 @@ class Release:
             raise InputError(f"which={which!r} names no steps", hint="use which='last', 'all' or 'picks'")
         chosen = self.manifest.select(tasks, rounds, split)
         self.folder.require(chosen)
-        from rema_data.loader.dataset import StepDataset, identity  # torch is imported here, and not before
+        from rema_data.loader.dataset import StepDataset, identity
 
         wanted = {block.key for block in chosen}
         index = self.cache.index
