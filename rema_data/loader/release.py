@@ -93,8 +93,9 @@ class Release:
         which: Which = "last",
         maps: Delivery = "quantised",
         subset: str | None = None,
+        where: str | None = None,
     ) -> StepDataset:
-        """A torch dataset of steps.
+        """A dataset of steps, for torch and as numpy arrays.
 
         Parameters
         ----------
@@ -114,11 +115,16 @@ class Release:
         subset : str, optional
             A fixed part of the training episodes of every block, such as ``10pct-r1``: the first of ten replicates of
             10 %, which share no episode. ``1pct-r1`` is a part of it. Validation episodes stay as they are.
+        where : str, optional
+            Keep the steps that meet a condition, ``"target_shape = 'T' and lift_m < 0.1"``: an SQL expression over all
+            columns of ``rema_data.query.COLUMNS``. It needs DuckDB, the extra ``query``. The dataset is that of
+            ``select`` with the steps that the condition gives, whatever its text.
 
         Raises
         ------
         InputError
-            The release has no such task, round, split, skill or subset, or no such step.
+            The release has no such task, round, split, skill or subset, or no such step; the condition names an unknown
+            column, compares what does not fit, or cannot be read.
         MissingFileError
             A block of the selection is not on this machine; the command that fetches it is in the message.
         StorageError, IntegrityError
@@ -150,7 +156,19 @@ class Release:
         selection: dict[str, object] = {"blocks": sorted(key.path for key in wanted), "skills": named, "which": which}
         if subset is not None:
             selection["subset"] = subset
-        return StepDataset(self.cache, selected, identity(self.fingerprint, selection), maps)
+        dataset = StepDataset(self.cache, selected, identity(self.fingerprint, selection), maps)
+        if where is None:
+            return dataset
+        from rema_data.loader.conditions import steps_where
+
+        met = steps_where(self, where, wanted)[selected]
+        if not met.any():
+            raise InputError(
+                f"release {self.name} has no step of this selection where {where}",
+                hint="choose another condition, or other tasks, skills or steps",
+                where=where,
+            )
+        return dataset.select(met)
 
     def _skill_codes(self, names: list[str]) -> list[int]:
         has = list(self.cache.categories["skill"])
