@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
     from rema_data.loader.batch import FloatBatch, StepBatch
     from rema_data.loader.resident import ResidentDataset
+    from rema_data.progress import Progress
+    from rema_data.statistics.values import ValueStatistics
 
     Base = Dataset[StepBatch | FloatBatch]
     Indices = Sequence[int] | npt.NDArray[Any] | Tensor
@@ -179,6 +181,23 @@ class StepDataset(Base):
             position = self.positions(which)
         picked = hashlib.sha256(position.astype("<i8").tobytes()).hexdigest()
         return StepDataset(self._cache, self._selected[position], f"{self._identity} {picked}", self.delivery)
+
+    def statistics(self, progress: Progress | None = None) -> ValueStatistics:
+        """Count, mean, deviation, range, 1 % and 99 % of every channel of the maps and every component of the actions.
+
+        They are exact, and of exactly these steps: a map that several steps share counts for each. Heights are in
+        metres, whatever ``maps`` a batch holds. A selection is counted once, and then read from the decoded cache.
+        """
+        from rema_data.statistics.values import read_values, value_statistics, write_values
+
+        folder, rows, maps = self._cache.folder, self.rows, self.maps
+        found = None if folder is None else read_values(folder, self.fingerprint)
+        if found is None:
+            hands = ((array, rows.ee) for array in (maps.ee_depth, maps.ee_mask))
+            found = value_statistics(self.fingerprint, (maps.scene, rows.scene), *hands, rows.action, progress)
+            if folder is not None:
+                write_values(folder, found)
+        return found
 
     def resident(self, device: torch.device | str) -> ResidentDataset:
         """The dataset in the memory of a device, with the same interface; for one process.

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, SupportsIndex
 
 import numpy as np
+import numpy.typing as npt
 
 from rema_data.errors import InputError
 from rema_data.loader.build import decode_to_memory, open_cache
@@ -216,6 +217,53 @@ class Release:
             )
         first = sum(other.steps for other in self.blocks[: self.blocks.index(block)])
         return read_episode(episodes, steps, numbers.index(index), self.cache, first)
+
+    def iter_episodes(
+        self,
+        tasks: Iterable[str] | None = None,
+        split: str | Iterable[str] | None = None,
+        rounds: Iterable[int] | SupportsIndex | None = None,
+        where: str | None = None,
+    ) -> Iterator[Episode]:
+        """Episodes one after the other, with what was observed: frozen records, their steps in order.
+
+        They come in the order of the blocks (round, task, split), and within a block in that of their numbers. One
+        block's tables are in memory at a time, and observations are copied from the decoded cache.
+
+        Parameters
+        ----------
+        tasks, split, rounds
+            As for ``steps``.
+        where : str, optional
+            Keep the episodes of which at least one executed step meets a condition; see ``steps``. Such an episode
+            comes whole. For example ``"episode_success"``, or ``"last and lift_m > 0.2"``.
+
+        Raises
+        ------
+        InputError, MissingFileError, StorageError, IntegrityError
+            As for ``steps``, before the first episode. A selection without episodes is empty.
+        """
+        chosen = self.manifest.select(tasks, rounds, split)
+        self.folder.require(chosen)
+        keys = {block.key for block in chosen}
+        met = None
+        if where is not None:
+            from rema_data.loader.conditions import steps_where
+
+            met = steps_where(self, where, keys)
+        return self._iterate(keys, met)
+
+    def _iterate(self, keys: set[BlockKey], met: npt.NDArray[np.bool_] | None) -> Iterator[Episode]:
+        from rema_data.loader.episodes import read_episodes
+
+        first = 0
+        for block in self.blocks:
+            if block.key in keys:
+                chosen = None if met is None else met[first : first + block.steps]
+                if chosen is None or chosen.any():
+                    reader = self.folder.block(block)
+                    yield from read_episodes(reader.episodes(), reader.steps(), self.cache, first, chosen)
+            first += block.steps
 
     def __repr__(self) -> str:
         counts = self.manifest.counts
