@@ -60,7 +60,11 @@ def steps_that_meet(where: str, tables: Sequence[tuple[pa.Table, pa.Table]]) -> 
         raise InputError("a condition (where) needs DuckDB, which is not installed", hint=_EXTRA) from None
     table = pa.concat_tables([_joined(episodes, steps) for episodes, steps in tables])
     # A condition reads the table and nothing else: no files, no extensions, no variables of this process.
-    closed = {"enable_external_access": False, "python_enable_replacements": False, "lock_configuration": True}
+    closed: dict[str, Any] = {
+        "enable_external_access": False,
+        "python_enable_replacements": False,
+        "lock_configuration": True,
+    }
     with duckdb.connect(":memory:", config=closed) as connection:
         try:
             found: Any = connection.from_arrow(table).project(where).to_arrow_table()

@@ -193,8 +193,8 @@ class StepDataset(Base):
         folder, rows, maps = self._cache.folder, self.rows, self.maps
         found = None if folder is None else read_values(folder, self.fingerprint)
         if found is None:
-            hands = ((array, rows.ee) for array in (maps.ee_depth, maps.ee_mask))
-            found = value_statistics(self.fingerprint, (maps.scene, rows.scene), *hands, rows.action, progress)
+            scene, depth, mask = (maps.scene, rows.scene), (maps.ee_depth, rows.ee), (maps.ee_mask, rows.ee)
+            found = value_statistics(self.fingerprint, scene, depth, mask, rows.action, progress)
             if folder is not None:
                 write_values(folder, found)
         return found
