@@ -64,6 +64,7 @@ def steps_that_meet(where: str, tables: Sequence[tuple[pa.Table, pa.Table]]) -> 
         "enable_external_access": False,
         "python_enable_replacements": False,
         "lock_configuration": True,
+        "threads": 1,  # and no thread that a forked worker would miss
     }
     with duckdb.connect(":memory:", config=closed) as connection:
         try:

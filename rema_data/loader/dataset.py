@@ -37,7 +37,7 @@ else:
     # Torch's base class has no behaviour that a map-style dataset needs, and deriving from it would import torch.
     Base = object
 
-__all__ = ["Delivery", "Indices", "Rows", "StepDataset"]
+__all__ = ["Delivery", "Rows", "StepDataset"]
 
 Delivery = Literal["quantised", "float32"]
 Array = npt.NDArray[Any]
