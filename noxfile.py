@@ -55,6 +55,13 @@ def docs(session: nox.Session) -> None:
 
 
 @nox.session
+def recipes(session: nox.Session) -> None:
+    """The recipes for JAX and Grain in docs/dataset.md; without these two the tests skip them."""
+    session.install(".[test]", "jax", "grain")
+    session.run("pytest", "tests/contracts/test_array_recipes.py", *session.posargs)
+
+
+@nox.session
 def newest(session: nox.Session) -> None:
     """The tests with the newest versions of all dependencies."""
     session.install("--upgrade", "--upgrade-strategy", "eager", ".[test]")

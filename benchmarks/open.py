@@ -1,4 +1,4 @@
-"""How long a release takes to open: the first time, when it is decoded, and every time after.
+"""How long a release takes to open: the first time, when it is decoded, and every time after; and rema to start.
 
     python benchmarks/open.py                          # 100,000 synthetic steps
     python benchmarks/open.py --release rema-mini      # a release that is on this machine
@@ -17,6 +17,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,10 @@ ROUNDS = 5
 TASKS = {"grasp": 1.0, "grasp_push": 1.9}
 """Tasks of the synthetic release, with the steps of an episode."""
 OPEN_S = 0.3
+HELP_S = 0.15
+IMPORT_S = 0.3
+STARTS = {"`rema --help`": ("-m", "evaluator.cli", "--help"), "`import rema_data`": ("-c", "import rema_data")}
+"""What is timed as a process of its own, with the start of the interpreter."""
 
 OPEN = """
 import json, sys, time
@@ -60,6 +65,16 @@ marks = {"import torch": torch_s - began, "import rema_data": imported - torch_s
          "steps() and the first batch": first - loaded, "table (imports pandas)": table - first,
          "balanced sampler and its first batch": balanced - table}
 print(json.dumps(marks))
+"""
+
+NUMPY = """
+import json, sys, time
+began = time.perf_counter()
+import rema_data
+dataset = rema_data.load(sys.argv[1]).steps(split="train", which="all")
+batch = dataset.arrays[:: len(dataset) // 8]
+assert len(batch.action) >= 8 and "torch" not in sys.modules
+print(json.dumps({"seconds": time.perf_counter() - began}))
 """
 
 DECODE = """
@@ -127,6 +142,14 @@ def child(script: str, home: Path, *words: str) -> dict[str, Any]:
     return found
 
 
+def start(*words: str) -> float:
+    """Seconds that a Python process takes from its start to its end."""
+    began = time.perf_counter()
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    subprocess.run([sys.executable, *words], cwd=ROOT, env=environment, stdout=subprocess.DEVNULL, check=True)
+    return time.perf_counter() - began
+
+
 def main() -> int:
     """Measure and print."""
     options = parser(__doc__)
@@ -146,6 +169,12 @@ def main() -> int:
             shutil.rmtree(home, ignore_errors=True)
             decoded[cores] = child(DECODE, home, path, cores)
         openings = [child(OPEN, home, path) for _ in range(arguments.repeats + 1)][1:]
+        arrays = [child(NUMPY, home, path)["seconds"] for _ in range(arguments.repeats + 1)][1:]
+    starts = {
+        what: statistics.median([start(*words) for _ in range(arguments.repeats + 1)][1:])
+        for what, words in STARTS.items()
+    }
+    starts["load() and the first batch as arrays, without torch"] = statistics.median(arrays)
     marks = {what: statistics.median(opening[what] for opening in openings) for what in openings[0]}
     after_torch = marks["import rema_data"] + marks["load()"] + marks["steps() and the first batch"]
     calls = marks["load()"] + marks["steps() and the first batch"]
@@ -162,13 +191,18 @@ def main() -> int:
     second = Table("", "ms", title="second opening, median of new processes")
     for what, seconds in marks.items():
         second.add_row(what, f"{seconds * 1e3:.1f}")
+    third = Table("", "ms", title="starts, median of new processes")
+    for what, seconds in starts.items():
+        third.add_row(what, f"{seconds * 1e3:.1f}")
+    limits = dict(zip(STARTS, (HELP_S, IMPORT_S), strict=True))
     targets = [
+        *(target(what, f"< {most} s", f"{starts[what]:.3f} s", starts[what] < most) for what, most in limits.items()),
         target(
             "second load() and first batch, after `import torch`",
             f"< {OPEN_S} s",
             f"{after_torch:.3f} s",
             after_torch < OPEN_S,
-        )
+        ),
     ]
     notes = [
         f"Of the {after_torch:.3f} s the two calls take {calls:.3f} s; the rest imports modules. Importing torch "
@@ -177,7 +211,8 @@ def main() -> int:
         f"{counts['end_effectors']:,} of {counts['steps']:,} steps have their own end-effector map.",
     ]
     numbers = {"counts": counts, "decode": decoded, "open": marks, "after_torch_s": after_torch, "calls_s": calls}
-    return finish(arguments, "open", [first, second], targets, notes, numbers)
+    numbers["starts_s"] = starts
+    return finish(arguments, "open", [first, second, third], targets, notes, numbers)
 
 
 if __name__ == "__main__":

@@ -19,17 +19,30 @@ from rema_data import environment
 
 if TYPE_CHECKING:
     from rema_data import download
+    from rema_data.loader.arrays import FloatArrays, StepArrays
     from rema_data.loader.batch import FloatBatch, StepBatch
     from rema_data.loader.dataset import StepDataset
     from rema_data.loader.release import Release, load
     from rema_data.samplers import BalancedSampler
 
-__all__ = ["BalancedSampler", "FloatBatch", "Release", "StepBatch", "StepDataset", "download", "load"]
+__all__ = [
+    "BalancedSampler",
+    "FloatArrays",
+    "FloatBatch",
+    "Release",
+    "StepArrays",
+    "StepBatch",
+    "StepDataset",
+    "download",
+    "load",
+]
 
 _HOMES = {
     "BalancedSampler": "rema_data.samplers",
+    "FloatArrays": "rema_data.loader.arrays",
     "FloatBatch": "rema_data.loader.batch",
     "Release": "rema_data.loader.release",
+    "StepArrays": "rema_data.loader.arrays",
     "StepBatch": "rema_data.loader.batch",
     "StepDataset": "rema_data.loader.dataset",
     "download": "rema_data.download",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from evaluator.cli.options import device_option, json_option
+from evaluator.cli.options import device_option, json_option, where_option
 from evaluator.cli.output import print_json
 from rema_data.schema import Primitive
 
@@ -48,6 +48,7 @@ def _seeds(context: click.Context, parameter: click.Parameter, value: str | None
 @click.option("--primitive", required=True, type=click.Choice([item.value for item in Primitive]))
 @click.option("--skills", callback=_names, help="Steps of some skills only, separated by commas.  [default: all]")
 @click.option("--subset", metavar="10pct-r1", help="A fixed 1 or 10 % of the training episodes, replicate 1 to 10.")
+@where_option
 @click.option("--output", required=True, type=click.Path(path_type=Path), help="Folder of the networks of a policy.")
 @click.option("--name", help="Of the network in it.  [default: the primitive]")
 @click.option("--updates", type=int, default=160_000, show_default=True, help="Steps of the optimiser.")

@@ -25,6 +25,7 @@ class TrainingConfig:
     # only the steps of these skills; of all where it is empty. A tool pick has the skill ``grasp``
     skills: tuple[str, ...] = ()
     subset: str | None = None  # a fixed part of the training episodes of every block, such as ``10pct-r1``
+    where: str | None = None  # a condition that a step meets to be used, as of ``Release.steps``; of both splits
     updates: Positive = 160_000  # steps of the optimiser
     batch_size: Positive = 8  # samples of a step, balanced over skill and success (paper: 8)
     learning_rate: Annotated[float, Field(gt=0, lt=1)] = 1e-4  # of Adam (paper: 1e-4)

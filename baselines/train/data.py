@@ -62,7 +62,9 @@ def open_data(release: Release, config: TrainingConfig) -> TrainingData:
     if config.on_empty == "renormalise":
         skills = tuple(name for name in skills if name in set(release.cache.categories["skill"]))
     train, val = (
-        release.steps(tasks=config.tasks, split=split, which="all", skills=skills, subset=config.subset)
+        release.steps(
+            tasks=config.tasks, split=split, which="all", skills=skills, subset=config.subset, where=config.where
+        )
         for split in ("train", "val")
     )
     _require_labels(release.name, "train on", train, skills if config.on_empty == "raise" else ())

@@ -22,6 +22,7 @@ __all__ = [
     "rounds_option",
     "sources_option",
     "tasks_option",
+    "where_option",
     "workers_option",
 ]
 
@@ -55,6 +56,11 @@ block_options = _all_of(
     tasks_option, rounds_option, click.option("--split", type=click.Choice(list(SPLITS)), help="Only this split.")
 )
 """Blocks of a release: ``tasks``, ``rounds`` and ``split``, each None where all are meant."""
+where_option = click.option(
+    "--where",
+    metavar="SQL",
+    help="Only steps that meet a condition: \"lift_m < 0.1 and target_shape = 'T'\" (needs rema[query]).",
+)
 sources_option = click.option(
     "--source",
     "sources",

@@ -1,58 +1,104 @@
-"""``rema stats``: positives and negatives of a release."""
+"""``rema stats``: positives and negatives of a release, and the values of its maps and actions."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from evaluator.cli.options import json_option, release_argument
+from evaluator.cli.options import block_options, json_option, release_argument, where_option
 from evaluator.cli.output import line, print_json, print_table, styled
+from rema_data.errors import InputError
 
 if TYPE_CHECKING:
     from rich.text import Text
 
+    from rema_data.release.folder import ReleaseFolder
     from rema_data.statistics.count import Statistics, StepCount
     from rema_data.statistics.paper import Comparison, Counts, PaperRow
+    from rema_data.statistics.values import ValueStatistics
 
 __all__ = ["stats"]
 
 
 @click.command()
 @release_argument
+@block_options
+@where_option
+@click.option("--values", is_flag=True, help="Mean, deviation, range and quantiles of maps and actions, too.")
 @click.option("--check-paper", is_flag=True, help="Beside the upper half of the paper's Table 2.")
 @click.option("--plot", type=click.Path(path_type=Path), metavar="FILE.png", help="Draw the data by round.")
 @json_option
-def stats(release: str | None, check_paper: bool, plot: Path | None, as_json: bool) -> None:
+def stats(
+    release: str | None,
+    where: str | None,
+    values: bool,
+    check_paper: bool,
+    plot: Path | None,
+    as_json: bool,
+    **blocks: Any,
+) -> None:
     """Count positives and negatives of RELEASE by round, task, split and step.
 
-    RELEASE is a name or a folder; by default the newest release on this machine.
+    RELEASE is a name or a folder; by default the newest release on this machine. A condition names columns of both
+    tables; those of the episode that a step has, too, are episode_success and episode_failure. --values is of every
+    executed step that is counted.
     """
     from rema_data.release.folder import find_release
     from rema_data.statistics.count import count
     from rema_data.statistics.paper import compare
 
-    found = count(find_release(release))
+    if check_paper and (where is not None or any(blocks.values())):
+        raise InputError("the paper's table is of a whole release", hint="leave --check-paper out, or the selection")
+    folder = find_release(release)
+    found = count(folder, **blocks, where=where)
     comparison = compare(found) if check_paper else None
+    of_values = _values(folder, blocks, where) if values else None
     if plot is not None:
         from rema_data.statistics.plot import plot_rounds
 
         plot_rounds(found, plot)
     if as_json:
-        print_json(found.to_dict() | ({} if comparison is None else {"paper": comparison.to_dict()}))
+        more = {"paper": comparison, "values": of_values}
+        print_json(found.to_dict() | {name: part.to_dict() for name, part in more.items() if part is not None})
         return
     _print(found)
+    if of_values is not None:
+        _print_values(of_values)
     if comparison is not None:
         _print_paper(comparison, found.release)
     if plot is not None:
         line(str(plot))
 
 
+def _values(folder: ReleaseFolder, blocks: dict[str, Any], where: str | None) -> ValueStatistics:
+    from evaluator.cli.progress import StderrProgress
+    from rema_data.loader.release import Release
+
+    with StderrProgress() as progress:
+        return Release(folder, progress=progress).steps(**blocks, where=where, which="all").statistics(progress)
+
+
+def _print_values(found: ValueStatistics) -> None:
+    numbers = ("mean", "std", "min", "q01", "q99", "max")
+    rows = [
+        (row.name, row.unit, f"{row.count:,}", *(f"{getattr(row, name):.6g}" for name in numbers))
+        for row in found.channels
+    ]
+    print_table(
+        ("values", "unit", "count", *numbers),
+        rows,
+        title=f"maps and actions of {found.steps:,} steps; q01 and q99 are quantiles",
+        right=("count", *numbers),
+        optional=("count", "q01", "q99"),
+    )
+
+
 def _print(found: Statistics) -> None:
-    title = f"{found.release} ({found.sha256[:12]})"
+    title = f"{found.release} ({found.sha256[:12]})" + ("" if found.where is None else f" where {found.where}")
     if found.steps:
         counts = ["reached", "+", "-", "% +"]
         for number, rows in groupby(found.steps, key=lambda row: row.round):

@@ -15,9 +15,10 @@ from torch import Tensor
 from torch.utils.data import default_collate
 
 from rema_data.errors import InputError
+from rema_data.loader.arrays import FloatArrays, StepArrays
 from rema_data.loader.convert import to_metres
 
-__all__ = ["Batch", "FloatBatch", "StepBatch"]
+__all__ = ["Batch", "FloatBatch", "StepBatch", "as_batch"]
 
 Array = npt.NDArray[np.integer[Any] | np.bool_]
 
@@ -155,6 +156,12 @@ class FloatBatch(Batch):
     def float(self) -> FloatBatch:
         """The batch itself, so that a training loop takes both kinds."""
         return self
+
+
+def as_batch(arrays: StepArrays | FloatArrays) -> StepBatch | FloatBatch:
+    """Arrays as a batch of tensors that lie in the same memory."""
+    kind = StepBatch if isinstance(arrays, StepArrays) else FloatBatch
+    return kind(*map(torch.from_numpy, arrays))
 
 
 def _steps(which: Any) -> Tensor:

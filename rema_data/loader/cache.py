@@ -6,6 +6,7 @@
         scene.npy  ee_depth.npy  ee_mask.npy     one row a scene, one a different end-effector map
         index.npy                                one row a step
         cache.json                               written last: see ``rema_data.loader.record``
+        values-<fingerprint>.json                later: see ``rema_data.statistics.values``
 
 The folder is disposable: ``rema_data.load`` builds it again (``rema_data.loader.build``).
 """

@@ -1,53 +1,50 @@
-"""The training dataset: a selection of steps, gathered a whole batch at a time from the decoded cache."""
+"""The training dataset: a selection of steps, gathered a whole batch at a time from the decoded cache.
+
+Torch is imported when the first batch of tensors is made, and not before: ``arrays`` and ``numpy_batches`` need none.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-import torch
-from torch import Tensor
-from torch.utils.data import Dataset
 
 from rema_data.errors import InputError
-from rema_data.loader import transport as transport
-from rema_data.loader.batch import FloatBatch, StepBatch
+from rema_data.loader.arrays import ArrayView, FloatArrays, Rows, StepArrays, gather, gather_metres
 from rema_data.loader.cache import DecodedCache, MapArrays
-from rema_data.loader.convert import to_metres_cpu
 from rema_data.loader.index import to_frame
 from rema_data.positions import mark_table, refuse_foreign
 
 if TYPE_CHECKING:
     import pandas as pd
+    import torch
+    from torch import Tensor
+    from torch.utils.data import Dataset
 
+    from rema_data.loader.batch import FloatBatch, StepBatch
     from rema_data.loader.resident import ResidentDataset
+    from rema_data.progress import Progress
+    from rema_data.statistics.values import ValueStatistics
+
+    Base = Dataset[StepBatch | FloatBatch]
+    Indices = Sequence[int] | npt.NDArray[Any] | Tensor
+else:
+    # Torch's base class has no behaviour that a map-style dataset needs, and deriving from it would import torch.
+    Base = object
 
 __all__ = ["Delivery", "Rows", "StepDataset"]
 
 Delivery = Literal["quantised", "float32"]
 Array = npt.NDArray[Any]
-Indices = Sequence[int] | Array | Tensor
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Rows:
-    """What a batch is gathered by, one entry a step of the dataset."""
-
-    scene: Array  # int64 (N,): rows of the scene maps in the decoded cache
-    ee: Array  # int64 (N,): rows of the end-effector maps
-    action: Array  # int64 (N,)
-    success: Array  # bool (N,)
-    position: Array  # int64 (N,): 0, 1, 2, ...
-
-
-class StepDataset(Dataset[StepBatch | FloatBatch]):
-    """Steps of a release for training; ``Release.steps`` makes one.
+class StepDataset(Base):
+    """Steps of a release for training; ``Release.steps`` makes one. For torch it is a map-style dataset.
 
     It may be forked, pickled and sent to spawned workers: every process maps the decoded files for itself.
     """
@@ -100,26 +97,39 @@ class StepDataset(Dataset[StepBatch | FloatBatch]):
         InputError
             A single position instead of several, or positions that a sampler drew from another table.
         """
-        position, rows, maps = self.positions_of_batch(indices), self.rows, self.maps
-        scene_row, ee_row = rows.scene.take(position), rows.ee.take(position)
-        labels = (
-            torch.from_numpy(rows.action.take(position)),
-            torch.from_numpy(rows.success.take(position)),
-            torch.from_numpy(position),
-        )
-        if self.delivery == "quantised":
-            return StepBatch(
-                torch.from_numpy(maps.scene.take(scene_row, 0)),
-                torch.from_numpy(maps.ee_depth.take(ee_row, 0)),
-                torch.from_numpy(maps.ee_mask.take(ee_row, 0)),
-                *labels,
-            )
+        from rema_data.loader import transport as transport  # how a worker process sends a batch
+        from rema_data.loader.batch import as_batch
 
-        def read(part: slice) -> tuple[Array, Array, Array]:
-            ee = ee_row[part]
-            return maps.scene.take(scene_row[part], 0), maps.ee_depth.take(ee, 0), maps.ee_mask.take(ee, 0)
+        return as_batch(self.gather(self.positions_of_batch(indices)))
 
-        return FloatBatch(*to_metres_cpu(read, len(position)), *labels)
+    @property
+    def arrays(self) -> ArrayView:
+        """The steps as numpy arrays: ``dataset.arrays[i]`` is one step, ``dataset.arrays[:8]`` eight."""
+        return ArrayView(self)
+
+    def numpy_batches(self, sampler: Iterable[Indices]) -> Iterator[StepArrays | FloatArrays]:
+        """The batches of one epoch of a sampler as numpy arrays: the bytes of torch's loader, in its order.
+
+        Nothing is drawn ahead: after a batch, ``sampler.state_dict()`` is the position behind it, and a sampler that
+        gets it with ``load_state_dict`` continues with the next batch.
+
+        Parameters
+        ----------
+        sampler : iterable
+            Gives the positions of one batch after another, as a ``BalancedSampler`` does.
+
+        Raises
+        ------
+        IndexError, InputError
+            As for ``__getitems__``, when the batch is asked for.
+        """
+        for indices in sampler:
+            yield self.gather(self.positions_of_batch(indices))
+
+    def gather(self, position: npt.NDArray[np.int64]) -> StepArrays | FloatArrays:
+        """Steps at positions that ``positions`` has checked, as arrays of their own."""
+        take = gather if self.delivery == "quantised" else gather_metres
+        return take(self.rows, self.maps, position)
 
     def positions_of_batch(self, indices: Indices) -> npt.NDArray[np.int64]:
         """As ``positions``, for what a loader asks for: raises InputError where that is one position alone."""
@@ -171,6 +181,23 @@ class StepDataset(Dataset[StepBatch | FloatBatch]):
             position = self.positions(which)
         picked = hashlib.sha256(position.astype("<i8").tobytes()).hexdigest()
         return StepDataset(self._cache, self._selected[position], f"{self._identity} {picked}", self.delivery)
+
+    def statistics(self, progress: Progress | None = None) -> ValueStatistics:
+        """Count, mean, deviation, range, 1 % and 99 % of every channel of the maps and every component of the actions.
+
+        They are exact, and of exactly these steps: a map that several steps share counts for each. Heights are in
+        metres, whatever ``maps`` a batch holds. A selection is counted once, and then read from the decoded cache.
+        """
+        from rema_data.statistics.values import read_values, value_statistics, write_values
+
+        folder, rows, maps = self._cache.folder, self.rows, self.maps
+        found = None if folder is None else read_values(folder, self.fingerprint)
+        if found is None:
+            scene, depth, mask = (maps.scene, rows.scene), (maps.ee_depth, rows.ee), (maps.ee_mask, rows.ee)
+            found = value_statistics(self.fingerprint, scene, depth, mask, rows.action, progress)
+            if folder is not None:
+                write_values(folder, found)
+        return found
 
     def resident(self, device: torch.device | str) -> ResidentDataset:
         """The dataset in the memory of a device, with the same interface; for one process.

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, SupportsIndex
 
 import numpy as np
+import numpy.typing as npt
 
 from rema_data.errors import InputError
 from rema_data.loader.build import decode_to_memory, open_cache
@@ -93,8 +94,9 @@ class Release:
         which: Which = "last",
         maps: Delivery = "quantised",
         subset: str | None = None,
+        where: str | None = None,
     ) -> StepDataset:
-        """A torch dataset of steps.
+        """A dataset of steps, for torch and as numpy arrays.
 
         Parameters
         ----------
@@ -114,11 +116,16 @@ class Release:
         subset : str, optional
             A fixed part of the training episodes of every block, such as ``10pct-r1``: the first of ten replicates of
             10 %, which share no episode. ``1pct-r1`` is a part of it. Validation episodes stay as they are.
+        where : str, optional
+            Keep the steps that meet a condition, ``"target_shape = 'T' and lift_m < 0.1"``: an SQL expression over all
+            columns of ``rema_data.query.COLUMNS``. It needs DuckDB, the extra ``query``. The dataset is that of
+            ``select`` with the steps that the condition gives, whatever its text.
 
         Raises
         ------
         InputError
-            The release has no such task, round, split, skill or subset, or no such step.
+            The release has no such task, round, split, skill or subset, or no such step; the condition names an unknown
+            column, compares what does not fit, or cannot be read.
         MissingFileError
             A block of the selection is not on this machine; the command that fetches it is in the message.
         StorageError, IntegrityError
@@ -128,7 +135,7 @@ class Release:
             raise InputError(f"which={which!r} names no steps", hint="use which='last', 'all' or 'picks'")
         chosen = self.manifest.select(tasks, rounds, split)
         self.folder.require(chosen)
-        from rema_data.loader.dataset import StepDataset, identity  # torch is imported here, and not before
+        from rema_data.loader.dataset import StepDataset, identity
 
         wanted = {block.key for block in chosen}
         index = self.cache.index
@@ -150,7 +157,19 @@ class Release:
         selection: dict[str, object] = {"blocks": sorted(key.path for key in wanted), "skills": named, "which": which}
         if subset is not None:
             selection["subset"] = subset
-        return StepDataset(self.cache, selected, identity(self.fingerprint, selection), maps)
+        dataset = StepDataset(self.cache, selected, identity(self.fingerprint, selection), maps)
+        if where is None:
+            return dataset
+        from rema_data.loader.conditions import steps_where
+
+        met = steps_where(self, where, wanted)[selected]
+        if not met.any():
+            raise InputError(
+                f"release {self.name} has no step of this selection where {where}",
+                hint="choose another condition, or other tasks, skills or steps",
+                where=where,
+            )
+        return dataset.select(met)
 
     def _skill_codes(self, names: list[str]) -> list[int]:
         has = list(self.cache.categories["skill"])
@@ -198,6 +217,53 @@ class Release:
             )
         first = sum(other.steps for other in self.blocks[: self.blocks.index(block)])
         return read_episode(episodes, steps, numbers.index(index), self.cache, first)
+
+    def iter_episodes(
+        self,
+        tasks: Iterable[str] | None = None,
+        split: str | Iterable[str] | None = None,
+        rounds: Iterable[int] | SupportsIndex | None = None,
+        where: str | None = None,
+    ) -> Iterator[Episode]:
+        """Episodes one after the other, with what was observed: frozen records, their steps in order.
+
+        They come in the order of the blocks (round, task, split), and within a block in that of their numbers. One
+        block's tables are in memory at a time, and observations are copied from the decoded cache.
+
+        Parameters
+        ----------
+        tasks, split, rounds
+            As for ``steps``.
+        where : str, optional
+            Keep the episodes of which at least one executed step meets a condition; see ``steps``. Such an episode
+            comes whole. For example ``"episode_success"``, or ``"last and lift_m > 0.2"``.
+
+        Raises
+        ------
+        InputError, MissingFileError, StorageError, IntegrityError
+            As for ``steps``, before the first episode. A selection without episodes is empty.
+        """
+        chosen = self.manifest.select(tasks, rounds, split)
+        self.folder.require(chosen)
+        keys = {block.key for block in chosen}
+        met = None
+        if where is not None:
+            from rema_data.loader.conditions import steps_where
+
+            met = steps_where(self, where, keys)
+        return self._iterate(keys, met)
+
+    def _iterate(self, keys: set[BlockKey], met: npt.NDArray[np.bool_] | None) -> Iterator[Episode]:
+        from rema_data.loader.episodes import read_episodes
+
+        first = 0
+        for block in self.blocks:
+            if block.key in keys:
+                chosen = None if met is None else met[first : first + block.steps]
+                if chosen is None or chosen.any():
+                    reader = self.folder.block(block)
+                    yield from read_episodes(reader.episodes(), reader.steps(), self.cache, first, chosen)
+            first += block.steps
 
     def __repr__(self) -> str:
         counts = self.manifest.counts

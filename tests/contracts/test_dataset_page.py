@@ -66,6 +66,18 @@ def test_the_formula_of_heights_is_that_of_the_code() -> None:
     assert f"A single value of {MISSING}" in text
 
 
+def test_the_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Selections, conditions, episodes and statistics, as they are written."""
+    pytest.importorskip("duckdb", reason="conditions need DuckDB, part of the extra `query`")
+    monkeypatch.setenv("REMA_HOME", str(tmp_path))
+    using = section("Using it").split("### Several processes")[0]
+    names: dict[str, Any] = {}
+    for code in re.findall(r"```python\n(.*?)```", using, flags=re.DOTALL):
+        exec(compile(code, "docs/dataset.md", "exec"), names)
+    assert names["episode"].success and names["height_m"] > 0 and names["std_m"] > 0
+    assert set(names["early"].table["step"]) == {0} and len(names["short"]) > 0
+
+
 @pytest.fixture(scope="module")
 def reader() -> dict[str, Any]:
     """The functions of the page's reader."""

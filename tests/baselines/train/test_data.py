@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,13 @@ def test_tool_picks_are_grasps(release: rema_data.Release, config: TrainingConfi
     table = data.train.table
     assert set(table["primitive"]) == {"grasp"} and set(table["task"]) == {"grasp", "grasp_push"}
     assert set(table["split"]) == {"train"} and set(data.validation.table["split"]) == {"val"}
+
+
+def test_a_condition_chooses_steps_of_both_splits(release: rema_data.Release, config: TrainingConfig) -> None:
+    pytest.importorskip("duckdb", reason="conditions need DuckDB, part of the extra `query`")
+    data = open_data(release, replace(config, where="task = 'grasp_push'"))
+    assert set(data.train.table["task"]) == set(data.validation.table["task"]) == {"grasp_push"}
+    assert data.train.fingerprint != open_data(release, config).train.fingerprint
 
 
 def test_batches_are_balanced(release: rema_data.Release, config: TrainingConfig) -> None:

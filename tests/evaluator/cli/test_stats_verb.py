@@ -91,6 +91,33 @@ def test_json_and_figure(release: ReleaseFolder, tmp_path: Path) -> None:
     assert stats("--plot", "other.png").stdout.splitlines()[-1] == "other.png"
 
 
+def test_a_condition_and_values(release: ReleaseFolder) -> None:
+    pytest.importorskip("duckdb", reason="conditions need DuckDB, part of the extra `query`")
+    words = ("--task", "grasp_grasp_push", "--where", "step = 1", "--values")
+    printed = json.loads(stats(*words, "--json").stdout)
+    reached = sum(row["reached"] for row in printed["steps"])
+    values = {row["name"]: row for row in printed["values"]["channels"]}
+    assert printed["values"]["steps"] == reached == values["x_m"]["count"] > 0
+    assert values["scene"]["count"] == reached * 64 * 64 and values["mask_1"]["max"] == 1
+    lines = stats(*words).stdout.splitlines()
+    assert any(line.endswith("where step = 1, round 1") for line in lines)
+    assert f"maps and actions of {reached} steps; q01 and q99 are quantiles" in lines
+    assert {"scene", "depth_2", "mask_2", "theta_rad"} <= {line.split()[0] for line in lines if line.strip()}
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--where", "stepp = 1"], "there is no column 'stepp'\nthe nearest names: step"),
+        (["--split", "val", "--check-paper"], "the paper's table is of a whole release"),
+    ],
+)
+def test_selections_that_cannot_be(release: ReleaseFolder, words: list[str], says: str) -> None:
+    pytest.importorskip("duckdb", reason="conditions need DuckDB, part of the extra `query`")
+    result = CliRunner().invoke(cli, ["stats", *words])
+    assert result.exit_code == 2 and says in result.stderr and not result.stdout
+
+
 def test_a_damaged_table_of_a_copy_has_a_fix_that_works(release: ReleaseFolder, tmp_path: Path) -> None:
     """Fetching the release would leave this folder as it is."""
     copy = Path(shutil.copytree(release.path, tmp_path / "data" / "tiny"))

@@ -19,7 +19,8 @@ from tests.rema_data.loader.test_batch import lightning_converts
 from tests.rema_data.samplers.tables import uneven
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "dataset.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"```python\n(.*?)```", PAGE.split("### Several processes")[1].split("\n## ")[0], re.DOTALL)
+SECTION = re.split(r"\n##+ ", PAGE.split("### Several processes")[1])[0]
+BLOCKS = re.findall(r"```python\n(.*?)```", SECTION, re.DOTALL)
 TORCHRUN, LIGHTNING, ACCELERATE = BLOCKS
 
 

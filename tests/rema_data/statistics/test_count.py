@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rema_data.errors import IntegrityError
+from rema_data.errors import InputError, IntegrityError
 from rema_data.release.folder import ReleaseFolder
 from rema_data.schema import TASKS, skill
 from rema_data.statistics.count import count
@@ -47,6 +47,33 @@ def test_totals(release: ReleaseFolder) -> None:
     assert sum(row.positives for row in totals) == counts["positives"]
     for row in totals:
         assert row.reached == row.positives + row.negatives <= row.episodes <= row.executed
+
+
+def test_a_selection(release: ReleaseFolder) -> None:
+    whole = count(release)
+    part = count(release, tasks=["push"], rounds=3, split="val")
+    assert part.steps == tuple(r for r in whole.steps if (r.round, r.task, r.split) == (3, "push", "val"))
+    with pytest.raises(InputError, match="has no task fly"):
+        count(release, tasks=["fly"])
+
+
+def test_a_condition(release: ReleaseFolder) -> None:
+    """Steps that meet it are counted; episodes are those of which one does."""
+    pytest.importorskip("duckdb", reason="conditions need DuckDB, part of the extra `query`")
+    where = "step >= 1 and target_shape <> 'I'"
+    found = count(release, where=where)
+    for row in found.steps:
+        (block,) = release.manifest.select([row.task], [row.round], row.split)
+        steps = [s for s in release.block(block).steps().to_pylist() if s["step"] >= 1 and s["target_shape"] != "I"]
+        of_row = [step["success"] for step in steps if step["step"] == row.step]
+        assert (row.reached, row.positives) == (len(of_row), sum(of_row))
+    (total,) = [row for row in found.totals() if row.task == "grasp_grasp_push"]
+    blocks = release.manifest.select(["grasp_grasp_push"])
+    tables = [release.block(block).steps().to_pandas() for block in blocks]
+    met = [table[(table.step >= 1) & (table.target_shape != "I")] for table in tables]
+    assert total.episodes == sum(table.episode.nunique() for table in met) > 0
+    assert total.executed == sum(map(len, met)) > total.episodes
+    assert found.to_dict()["where"] == where and "where" not in count(release).to_dict()
 
 
 def test_a_part_of_a_release(release: ReleaseFolder, tmp_path: Path) -> None:
