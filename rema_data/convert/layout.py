@@ -20,6 +20,7 @@ from rema_data.heights import dequantise, pack_mask, quantise, unpack_mask
 from rema_data.store.columns import Column
 
 __all__ = [
+    "INSTRUCTIONS",
     "from_array",
     "obs_dtype",
     "obs_of_end_effectors",
@@ -31,6 +32,15 @@ __all__ = [
 ]
 
 Array = npt.NDArray[Any]
+INSTRUCTIONS = {
+    "grasp": "Grasp the object and lift it.",
+    "push": "Push the object forward with the closed gripper.",
+    "grasp_grasp": "Pick up two sticks, then grasp the object between them and lift it.",
+    "grasp_push": "Pick up the tool, then push the object forward with it.",
+    "grasp_grasp_push": "Pick up two sticks, pinch an object between them, then push another object forward with it.",
+}
+"""What a task asks for, in a sentence, for formats whose policies read one. Forward is +x."""
+
 _STRINGS = "S"
 _HIGHEST = np.iinfo(np.int16).max
 
