@@ -27,6 +27,7 @@ from rema_data.grid import EE_PIXELS, SCENE_PIXELS
 from rema_data.progress import Progress
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import BlockEntry, Manifest
+from rema_data.schema import TASK_NUMBERS
 from rema_data.store.block import EPISODES, STEPS, BlockKey, BlockReader, EncodedMaps
 from rema_data.store.keys import SPLITS
 from rema_data.store.tables import with_column
@@ -42,14 +43,18 @@ _OBS = ((SCENE_PIXELS, SCENE_PIXELS, 1), (EE_PIXELS, EE_PIXELS, 4))
 
 @dataclass(frozen=True, slots=True)
 class NewDataset:
-    """A data set that is being written: blocks of one task."""
+    """A data set that is being written."""
 
     folder: Path
     release: ReleaseFolder
-    task: str
-    blocks: tuple[BlockEntry, ...]  # in the order of their episodes: those for training first
+    blocks: tuple[BlockEntry, ...]  # in the order of their episodes: by task, those for training first
     maps: Maps
     progress: Progress
+
+    @property
+    def task(self) -> str:
+        """The task, where there is one data set a task."""
+        return self.blocks[0].task
 
     def pieces(self, block: BlockEntry) -> Iterator[Piece]:
         """Pieces of a block in order; between two of them an interrupt is noticed."""
@@ -77,6 +82,10 @@ class FolderFormat(ABC):
         Raises IntegrityError where a file does not have the layout, and what takes more memory than ``steps`` need.
         """
 
+    def folder(self, manifest: Manifest, task: str) -> str:
+        """Name of the folder of a task of a release; blocks whose folder is the same are one data set."""
+        return task
+
     def check_options(self, options: ExportOptions) -> None:
         """Raise InputError where the format has no use for an option."""
         if options.next_obs:
@@ -88,37 +97,38 @@ class FolderFormat(ABC):
     def export(self, plan: ExportPlan, progress: Progress) -> list[ExportedFile]:
         """See ``Format``."""
         self.check_options(plan.options)
-        tasks = dict.fromkeys(block.task for block in plan.blocks)
-        return [self._export(plan, task, progress) for task in tasks]
+        groups: dict[str, list[BlockEntry]] = {}
+        for block in plan.blocks:
+            groups.setdefault(self.folder(plan.release.manifest, block.task), []).append(block)
+        return [self._export(plan, name, sorted(blocks, key=_order), progress) for name, blocks in groups.items()]
 
-    def _export(self, plan: ExportPlan, task: str, progress: Progress) -> ExportedFile:
+    def _export(
+        self, plan: ExportPlan, name: str, blocks: Sequence[BlockEntry], progress: Progress
+    ) -> ExportedFile:
         release, manifest = plan.release, plan.release.manifest
-        blocks = sorted((b for b in plan.blocks if b.task == task), key=lambda b: (SPLITS.index(b.split), b.round))
-        paths = tuple(block.key.path for block in blocks)
         header = Header(
             self.name,
             self.version,
             manifest.schema_version,
             manifest.name,
             manifest.sha256,
-            task,
-            paths,
+            tuple(block.key.path for block in blocks),
             plan.options.maps,
         )
-        path = plan.target / task
-        episodes, steps = (sum(getattr(block, name) for block in blocks) for name in ("episodes", "steps"))
+        path = plan.target / name
+        episodes, steps = (sum(getattr(block, count) for block in blocks) for count in ("episodes", "steps"))
         found = is_sealed(path, header)
         if found is not None:
             return ExportedFile(path, episodes, steps, found.bytes, new=False)
-        progress.phase(f"export {task}", steps)
+        progress.phase(f"export {name}", steps)
         card = {f.path: release.file(f).read_bytes() for f in manifest.files if f.block is None and release.has(f)}
         with sealed(path, header, manifest, card) as folder:
-            self.write(NewDataset(folder, release, task, tuple(blocks), plan.options.maps, progress))
+            self.write(NewDataset(folder, release, tuple(blocks), plan.options.maps, progress))
             for block in blocks:
                 target = folder / OWN / block.key.path
                 target.mkdir(parents=True)
-                for name in (EPISODES, STEPS):
-                    shutil.copyfile(release.block(block).folder / name, target / name)
+                for table in (EPISODES, STEPS):
+                    shutil.copyfile(release.block(block).folder / table, target / table)
         size = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
         return ExportedFile(path, episodes, steps, size, new=True)
 
@@ -127,6 +137,10 @@ class FolderFormat(ABC):
         """See ``Format``."""
         folders = find_sealed(sources, self.name)
         yield _FolderSource(self, [open_sealed(folder, self.name, self.version) for folder in folders])
+
+
+def _order(block: BlockEntry) -> tuple[int, int, int]:
+    return TASK_NUMBERS[block.task], SPLITS.index(block.split), block.round
 
 
 class _FolderSource:

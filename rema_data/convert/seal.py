@@ -2,7 +2,7 @@
 
 ::
 
-    grasp/                                  a data set of one task, in the layout of its format
+    grasp/                                  a data set, in the layout of its format
         ...
         rema/
             export.json                     written last
@@ -54,7 +54,6 @@ class Header:
     schema_version: int
     release: str
     release_sha256: str
-    task: str
     blocks: tuple[str, ...]  # in the order of their episodes
     maps: Maps
 
@@ -216,7 +215,7 @@ def open_sealed(folder: Path, format: str, version: int) -> SealedFolder:
         _check(folder, file)
     listed = {file.path for file in seal.files}
     manifest = parse_manifest((folder / _MANIFEST).read_bytes(), str(folder / _MANIFEST))
-    known = {block.key.path for block in manifest.blocks if block.task == header.task}
+    known = {block.key.path for block in manifest.blocks}
     if manifest.sha256 != header.release_sha256 or not set(header.blocks) <= known or _MANIFEST not in listed:
         raise damaged(folder / _SEAL, "it names another release than its manifest")
     size = sum(file.bytes for file in seal.files) + (folder / _SEAL).stat().st_size
