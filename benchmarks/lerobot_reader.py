@@ -46,14 +46,15 @@ def read_there(folder: Path) -> tuple[Iterator[dict[str, Any]], Any]:
             item = {name: value if name in TEXTS else value.numpy() for name, value in dataset[row].items()}
             for name in MAPS:
                 for plane, values in enumerate(item[name]):
-                    counts[name, plane].update(dict(zip(*(a.tolist() for a in np.unique(values, return_counts=True)))))
+                    heights, times = np.unique(values, return_counts=True)
+                    counts[name, plane].update(dict(zip(heights.tolist(), times.tolist(), strict=True)))
             for name in item.keys() - {*MAPS, *TEXTS}:
                 columns[name].append(np.atleast_1d(item[name]))
             yield item
 
     def facts() -> dict[str, Any]:
         stats = dataset.meta.stats
-        wrong = [name for name in {*MAPS, *columns} ^ set(stats)]
+        wrong = list({*MAPS, *columns} ^ set(stats))
         for name in MAPS:
             planes = [_of_counts(counts[name, n]) for n in range(len(stats[name]["mean"]))]
             wanted = {key: np.reshape([plane[key] for plane in planes], (-1, 1, 1)) for key in planes[0]}

@@ -21,7 +21,17 @@ from rema_data import interrupts
 from rema_data.convert.base import ExportedFile, ExportOptions, ExportPlan, ImportedBlock, Maps, Source
 from rema_data.convert.layout import obs_dtype, stored_end_effectors, stored_scenes
 from rema_data.convert.pieces import Piece, piece_bounds, read_pieces
-from rema_data.convert.seal import AGAIN, OWN, Header, SealedFolder, damaged, find_sealed, is_sealed, open_sealed, sealed
+from rema_data.convert.seal import (
+    AGAIN,
+    OWN,
+    Header,
+    SealedFolder,
+    damaged,
+    find_sealed,
+    is_sealed,
+    open_sealed,
+    sealed,
+)
 from rema_data.errors import InputError
 from rema_data.grid import EE_PIXELS, SCENE_PIXELS
 from rema_data.progress import Progress
@@ -102,9 +112,7 @@ class FolderFormat(ABC):
             groups.setdefault(self.folder(plan.release.manifest, block.task), []).append(block)
         return [self._export(plan, name, sorted(blocks, key=_order), progress) for name, blocks in groups.items()]
 
-    def _export(
-        self, plan: ExportPlan, name: str, blocks: Sequence[BlockEntry], progress: Progress
-    ) -> ExportedFile:
+    def _export(self, plan: ExportPlan, name: str, blocks: Sequence[BlockEntry], progress: Progress) -> ExportedFile:
         release, manifest = plan.release, plan.release.manifest
         header = Header(
             self.name,
@@ -147,7 +155,7 @@ class _FolderSource:
     """The data sets of one export."""
 
     def __init__(self, format: FolderFormat, datasets: Sequence[SealedFolder]) -> None:
-        first, *others = datasets
+        first = datasets[0]
         owners: dict[BlockKey, Path] = {}
         for dataset in datasets:
             if dataset.manifest.sha256 != first.manifest.sha256:

@@ -61,7 +61,9 @@ def features(maps: Maps) -> dict[str, dict[str, Any]]:
     about: dict[str, dict[str, Any]] = {
         name: {"dtype": obs_dtype(maps), "shape": list(shape), "names": _AXES} for name, shape in MAPS.items()
     }
-    about |= {name: {"dtype": dtype, "shape": [size], "names": names} for name, (dtype, size, names) in _VECTORS.items()}
+    about |= {
+        name: {"dtype": dtype, "shape": [size], "names": names} for name, (dtype, size, names) in _VECTORS.items()
+    }
     return about | {name: {"dtype": "string", "shape": [1], "names": None} for name in LABELS}
 
 

@@ -90,7 +90,9 @@ def episode_stats(columns: Mapping[str, Array], lengths: Array) -> dict[str, Arr
             stats = _of_groups(_grouped(array[rows], int(length)))
             stats["count"] = np.full((len(chosen), 1), length)
             for key, values in stats.items():
-                column = found.setdefault(f"stats/{name}/{key}", np.empty((len(lengths), values.shape[1]), values.dtype))
+                column = found.setdefault(
+                    f"stats/{name}/{key}", np.empty((len(lengths), values.shape[1]), values.dtype)
+                )
                 column[chosen] = values
     return found
 

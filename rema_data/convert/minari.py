@@ -34,9 +34,8 @@ from rema_data.convert.hdf5_parts import dataset as array_of
 from rema_data.convert.hdf5_parts import part
 from rema_data.convert.minari_writer import MAIN, METADATA, dataset_name, metadata, write_episodes
 from rema_data.convert.pieces import PIECE_STEPS
-from rema_data.convert.seal import SealedFolder, damaged
+from rema_data.convert.seal import SealedFolder
 from rema_data.errors import InputError
-from rema_data.json_files import read_json
 from rema_data.release.manifest import Manifest
 from rema_data.storage import write_atomic
 

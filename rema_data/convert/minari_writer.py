@@ -24,7 +24,16 @@ from rema_data.grid import ACTIONS, EE_PIXELS, SCENE_PIXELS
 from rema_data.heights import dequantise, quantise
 from rema_data.schema import TASKS
 
-__all__ = ["HIGHEST_M", "MAIN", "METADATA", "dataset_name", "environment", "metadata", "scenario_name", "write_episodes"]
+__all__ = [
+    "HIGHEST_M",
+    "MAIN",
+    "METADATA",
+    "dataset_name",
+    "environment",
+    "metadata",
+    "scenario_name",
+    "write_episodes",
+]
 
 Array = npt.NDArray[Any]
 
@@ -127,7 +136,9 @@ class _Writer:
         maps, about = piece.maps, trajectory(piece.steps)
         scenes = [zlib.compress(scene, _LEVEL) for scene in obs_of_scenes(maps.scene, "metres")]
         hands = [zlib.compress(hand, _LEVEL) for hand in obs_of_end_effectors(maps.ee_depth, maps.ee_mask, "metres")]
-        outcomes = np.array(["success" if text is None else text for text in piece.steps["failure"].to_pylist()], _OUTCOME)
+        outcomes = np.array(
+            ["success" if text is None else text for text in piece.steps["failure"].to_pylist()], _OUTCOME
+        )
         for row in piece.episodes.to_pylist():
             steps = range(row["first_step"], row["first_step"] + row["steps"])
             shown = [*steps, steps[-1]]

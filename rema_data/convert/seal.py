@@ -8,7 +8,7 @@
             export.json                     written last
             manifest.json                   of the exported release
             card/...                        its other files
-            round-1/grasp/train/            episodes.parquet and steps.parquet of every block, as they are in the release
+            round-1/grasp/train/            tables of every block, as they are in the release
 
 The folder gets its name when all of it is written. A folder without a seal is not an export, and one that differs from
 its seal is not read.
@@ -34,7 +34,18 @@ from rema_data.store.columns import check_version
 from rema_data.store.keys import BlockKey
 from rema_data.validation import plain, record, validated
 
-__all__ = ["AGAIN", "OWN", "Header", "SealedFolder", "damaged", "find_sealed", "format_of", "is_sealed", "open_sealed", "sealed"]
+__all__ = [
+    "AGAIN",
+    "OWN",
+    "Header",
+    "SealedFolder",
+    "damaged",
+    "find_sealed",
+    "format_of",
+    "is_sealed",
+    "open_sealed",
+    "sealed",
+]
 
 OWN = "rema"
 """The part of an export that its format does not know."""

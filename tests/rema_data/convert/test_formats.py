@@ -15,7 +15,6 @@ from rema_data.plugins import installed
 from rema_data.release.folder import ReleaseFolder
 from rema_data.testing.formats import FormatContract
 
-
 BUILT_IN = sorted(name for name, point in installed("rema.formats").items() if point.value.startswith("rema_data."))
 
 for _name in BUILT_IN:
