@@ -130,6 +130,8 @@ class _Writer:
         self._scalar = h5py.h5s.create(h5py.h5s.SCALAR)
         self._untimed = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
         self._untimed.set_obj_track_times(False)
+        self._untimed_group = h5py.h5p.create(h5py.h5p.GROUP_CREATE)
+        self._untimed_group.set_obj_track_times(False)  # equal exports are equal bytes
 
     def write(self, piece: Piece) -> None:
         """Append the episodes of a piece."""
@@ -167,7 +169,7 @@ class _Writer:
             h5py.h5a.create(group, name.encode(), kind, self._scalar).write(value)
 
     def _group(self, parent: h5py.h5g.GroupID, name: str) -> h5py.h5g.GroupID:
-        return h5py.h5g.create(parent, name.encode())
+        return h5py.h5g.create(parent, name.encode(), gcpl=self._untimed_group)
 
     def _array(self, parent: h5py.h5g.GroupID, name: str, array: Array) -> None:
         space = h5py.h5s.create_simple(array.shape)
