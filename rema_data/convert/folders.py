@@ -127,7 +127,7 @@ class FolderFormat(ABC):
         episodes, steps = (sum(getattr(block, count) for block in blocks) for count in ("episodes", "steps"))
         found = is_sealed(path, header)
         if found is not None:
-            return ExportedFile(path, episodes, steps, found.bytes, new=False)
+            return ExportedFile(path, episodes, steps, found.total_bytes, new=False)
         progress.phase(f"export {name}", steps)
         card = {f.path: release.file(f).read_bytes() for f in manifest.files if f.block is None and release.has(f)}
         with sealed(path, header, manifest, card) as folder:

@@ -25,7 +25,7 @@ from pathlib import Path
 from rema_data.convert.base import Maps
 from rema_data.errors import InputError, IntegrityError, MissingFileError, RunMismatchError
 from rema_data.interrupts import check
-from rema_data.json_files import read_json
+from rema_data.json_files import bounded_file, read_json
 from rema_data.leftovers import temporary_folder
 from rema_data.release.manifest import Manifest, parse_manifest
 from rema_data.repair import upgrade
@@ -90,7 +90,7 @@ class SealedFolder:
     path: Path
     header: Header
     manifest: Manifest
-    bytes: int
+    total_bytes: int
 
     @property
     def blocks(self) -> list[BlockKey]:
@@ -102,7 +102,7 @@ class SealedFolder:
         """Files of the release that belong to no block, by path."""
         folder = self.path / _CARD
         paths = sorted(path for path in folder.rglob("*") if path.is_file())
-        return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+        return {path.relative_to(folder).as_posix(): _content(path) for path in paths}
 
 
 def damaged(path: Path, why: str) -> IntegrityError:
@@ -221,11 +221,14 @@ def open_sealed(folder: Path, format: str, version: int) -> SealedFolder:
             path=str(folder),
         )
     check_version(header.schema_version, str(folder / _SEAL))
+    for path in folder.rglob("*"):
+        if path.is_symlink() or not (path.is_file() or path.is_dir()):
+            raise damaged(path, "it is a link or a device: an import follows none")
     for file in seal.files:
         check()
-        _check(folder, file)
+        _check(folder / file.path, file)
     listed = {file.path for file in seal.files}
-    manifest = parse_manifest((folder / _MANIFEST).read_bytes(), str(folder / _MANIFEST))
+    manifest = parse_manifest(_content(folder / _MANIFEST), str(folder / _MANIFEST))
     known = {block.key.path for block in manifest.blocks}
     if manifest.sha256 != header.release_sha256 or not set(header.blocks) <= known or _MANIFEST not in listed:
         raise damaged(folder / _SEAL, "it names another release than its manifest")
@@ -249,11 +252,15 @@ def _read_seal(folder: Path) -> _Seal:
     return seal
 
 
-def _check(folder: Path, file: _File) -> None:
-    path = folder / file.path
+def _content(path: Path) -> bytes:
     try:
-        if any(part.is_symlink() for part in (path, *path.parents) if part.is_relative_to(folder)):
-            raise damaged(path, "it is a link: an import follows none")
+        return bounded_file(path)
+    except (OSError, ValueError) as error:
+        raise damaged(path, str(error)) from error
+
+
+def _check(path: Path, file: _File) -> None:
+    try:
         size = path.stat().st_size
         if size != file.bytes:
             raise damaged(path, f"it has {size:,} bytes, not {file.bytes:,}: it is {_how(size, file.bytes)}")
