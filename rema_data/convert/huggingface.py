@@ -20,7 +20,7 @@ import pyarrow as pa
 
 from rema_data.convert.base import Maps
 from rema_data.convert.folders import FolderFormat, NewDataset
-from rema_data.convert.layout import INSTRUCTIONS, obs_dtype, obs_of_end_effectors, obs_of_scenes
+from rema_data.convert.layout import INSTRUCTIONS, obs_dtype, obs_of_scenes, planes_of_end_effectors
 from rema_data.convert.nested import array_feature, feature, nested, parquet_writer, read_nested, with_features
 from rema_data.convert.pieces import Piece
 from rema_data.convert.seal import SealedFolder
@@ -84,7 +84,7 @@ def _write_block(file: Any, dataset: NewDataset, block: BlockEntry) -> None:
 
 def _table(piece: Piece, chosen: Maps) -> pa.Table:
     maps = piece.maps
-    end_effectors = np.moveaxis(obs_of_end_effectors(maps.ee_depth, maps.ee_mask, chosen), -1, 1)
+    end_effectors = planes_of_end_effectors(maps.ee_depth, maps.ee_mask, chosen)
     counts = piece.episodes["steps"].to_numpy()
     columns = {
         "scene": nested(obs_of_scenes(maps.scene, chosen)[..., 0]),

@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from rema_data.convert import lerobot_stats as statistics
 from rema_data.convert.folders import NewDataset
-from rema_data.convert.layout import INSTRUCTIONS, obs_of_end_effectors, obs_of_scenes
+from rema_data.convert.layout import INSTRUCTIONS, obs_of_scenes, planes_of_end_effectors
 from rema_data.convert.lerobot_features import (
     DATA_PATH,
     EPISODES_PATH,
@@ -92,7 +92,7 @@ class _Writer:
     def _table(self, piece: Piece) -> pa.Table:
         maps, chosen = piece.maps, self._dataset.maps
         scenes = np.moveaxis(obs_of_scenes(maps.scene, chosen), -1, 1)
-        end_effectors = np.moveaxis(obs_of_end_effectors(maps.ee_depth, maps.ee_mask, chosen), -1, 1)
+        end_effectors = planes_of_end_effectors(maps.ee_depth, maps.ee_mask, chosen)
         self._scene.add(0, maps.scene)
         times = np.bincount(maps.ee_row, minlength=len(maps.ee_depth))
         masks = unpack_mask(maps.ee_mask)
