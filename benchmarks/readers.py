@@ -99,7 +99,7 @@ def compare(
             rate = len(wanted) / seen["seconds"]
             found = [str(seen[key]) for key in facts]
             table.add_row(file.path.name, str(len(wanted)), str(different), *found, f"{rate:,.0f}")
-            row = {"task": file.path.name, "steps": len(wanted), "different": different, "wrong": wrong, "rate": rate}
+            row = {"task": file.path.name, "steps": len(wanted), "different": different, "wrong_facts": wrong, "rate": rate}
             numbers["rows"].append(row | {key: seen[key] for key in facts})
             numbers["library"] = seen["library"]
         part = "part" if arguments.task else None  # a part of a published release may not have its name
@@ -107,7 +107,7 @@ def compare(
         beside = ("not part of the export", f"the name is part, not {release.manifest.name}")
         differences = [text for text in imported.differences if not text.endswith(beside)]
     wrong_steps = sum(row["different"] for row in numbers["rows"])
-    wrong_facts = sum(row["wrong"] for row in numbers["rows"])
+    wrong_facts = sum(row["wrong_facts"] for row in numbers["rows"])
     targets = [
         target("steps that differ", "0", str(wrong_steps), not wrong_steps),
         target("other facts that differ", "0", str(wrong_facts), not wrong_facts),
