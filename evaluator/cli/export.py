@@ -21,7 +21,7 @@ __all__ = ["export"]
     default="hdf5",
     show_default=True,
     metavar="NAME",
-    help="hdf5 is robomimic's layout; packages may add others.",
+    help="hdf5 (robomimic's layout), lerobot, minari, rlds or hf (Hugging Face); packages may add others.",
 )
 @click.option(
     "--output", "target", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder of the files."
@@ -39,7 +39,7 @@ __all__ = ["export"]
 def export(
     release: str | None, format_: str, target: Path, maps: Any, next_obs: bool, as_json: bool, **blocks: Any
 ) -> None:
-    """Write RELEASE in another format, one file a task; `rema import` brings it back.
+    """Write RELEASE in another format, one file or folder a task; `rema import` brings it back.
 
     RELEASE is a name or a folder; by default the newest release on this machine.
     """

@@ -14,7 +14,7 @@ __all__ = ["import_"]
 
 @click.command(name="import")
 @click.argument("sources", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FILE_OR_FOLDER...")
-@click.option("--format", "format_", default="hdf5", show_default=True, metavar="NAME", help="Format of the files.")
+@click.option("--format", "format_", metavar="NAME", help="Format of the files.  [default: the one that they name]")
 @click.option(
     "--output",
     "root",
@@ -25,7 +25,7 @@ __all__ = ["import_"]
 )
 @click.option("--name", help="Of the new release.  [default: that of the exported one]")
 @json_option
-def import_(sources: tuple[Path, ...], format_: str, root: Path, name: str | None, as_json: bool) -> None:
+def import_(sources: tuple[Path, ...], format_: str | None, root: Path, name: str | None, as_json: bool) -> None:
     """Make a release of what `rema export` wrote: the same one, to the last byte, where nothing was changed.
 
     Where something was changed, or blocks were left out, the release gets an identity of its own, and the differences

@@ -14,9 +14,9 @@ from evaluator.run.plan import Plan
 from evaluator.scenarios import SPLITS, ScenarioList, load_list, scenario_id
 from evaluator.sim.reference import prepare
 from evaluator.sim.simulator import Simulator
-from evaluator.sim.spawn import draw_episode
+from evaluator.sim.spawn import collection_generator, draw_episode
 from rema_data.errors import InputError
-from rema_data.schema import Scenario
+from rema_data.schema import TASKS, Scenario
 
 __all__ = ["DOMAINS", "Draws", "Start"]
 
@@ -24,6 +24,9 @@ TRAIN = "train"
 DOMAINS = (TRAIN, *SPLITS)
 """Where scenarios come from: drawn now, or one of the frozen lists."""
 _NAME = re.compile(r"(?P<version>[^/]+)/(?P<task>[^/]+)/(?P<split>[^/]+)/(?P<index>\d+)")
+_COLLECTED = re.compile(
+    r"collected/(?P<seed>\d{1,20})/round-(?P<round>\d{1,5})/(?P<task>[^/]+)/(?P<split>train|val)/(?P<episode>\d{1,10})"
+)
 
 
 class Start(NamedTuple):
@@ -57,13 +60,16 @@ class Draws:
         return Start("", prepare(simulator, self._task, rng).scenario(self._task, TRAIN))
 
     def named(self, name: Any) -> Start:
-        """The frozen scenario of a name; raises InputError where there is no such, or it cannot be played.
+        """The scenario of a name; raises InputError where there is no such, or it cannot be played.
 
-        ``name`` is a position in the list of the domain (of ``val`` where the domain is ``train``), or a name such as
-        ``v1/grasp/test/00042``.
+        ``name`` is a position in the list of the domain (of ``val`` where the domain is ``train``), the name of a
+        frozen scenario such as ``v1/grasp/test/00042``, or that of a collected episode (root seed, block, episode) such
+        as ``collected/0/round-1/grasp/train/17``.
         """
         if not isinstance(name, str):
             return self._frozen("val" if self._domain == TRAIN else self._domain, int(name))
+        if (collected := _COLLECTED.fullmatch(name)) is not None and collected["task"] == self._task:
+            return self._collected(name, collected)
         match = _NAME.fullmatch(name)
         if match is None or match["task"] != self._task:
             raise InputError(
@@ -72,6 +78,18 @@ class Draws:
                 scenario=name,
             )
         return self._frozen(match["split"], int(match["index"]), match["version"])
+
+    def _collected(self, name: str, parts: re.Match[str]) -> Start:
+        """The objects of a collected episode, drawn again. Tools get into the hands by its own first steps."""
+        if len(TASKS[self._task]) > 1 and not self._plan.end_to_end:
+            raise InputError(
+                f"{name} begins with empty hands, and the conditional protocol with tools in hand",
+                hint='make the environment with protocol="end-to-end"',
+                scenario=name,
+            )
+        seed, round_, episode = (int(parts[key]) for key in ("seed", "round", "episode"))
+        rng = collection_generator(seed, round_, self._task, parts["split"], episode)
+        return Start(name, Scenario(self._task, parts["split"], episode, draw_episode(rng, self._task)))
 
     @cached_property
     def _playable(self) -> list[int]:

@@ -106,7 +106,9 @@ class TaskEnv(gymnasium.Env[dict[str, Any], np.int64]):
             Of everything that is drawn from now on.
         options : dict, optional
             ``{"scenario": 17}`` chooses by position in the frozen list (of ``val`` in the training domain), and
-            ``{"scenario": "v1/grasp_push/test/00017"}`` by name.
+            ``{"scenario": "v1/grasp_push/test/00017"}`` by name. With the end-to-end protocol,
+            ``{"scenario": "collected/0/round-1/grasp_push/train/17"}`` is an episode of a release: root seed, block
+            and episode.
 
         Raises
         ------

@@ -1,9 +1,10 @@
 """Releases in other formats: out, and back with the same hashes.
 
 Read in this order: ``base`` (what a format has to do), ``pieces`` (a block as a stream), ``layout`` (episodes as
-robomimic lays them out), ``hdf5`` (that format, with its writer and reader), ``outbound`` and ``inbound`` (export and
-import, whatever the format), ``formats`` (the formats that are installed). A further format is one module with a class
-like ``Hdf5``, and an entry point.
+arrays), ``hdf5`` (robomimic's files, with their writer and reader), ``seal`` and ``folders`` (what the formats of
+folders share), ``lerobot``, ``minari``, ``rlds`` and ``huggingface`` (these formats), ``outbound`` and ``inbound``
+(export and import, whatever the format), ``formats`` (the formats that are installed). A further format is a class like
+``Rlds``, and an entry point.
 """
 
 from __future__ import annotations

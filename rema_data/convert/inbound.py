@@ -9,6 +9,7 @@ from pathlib import Path
 from rema_data import interrupts
 from rema_data.convert.base import Format, Source
 from rema_data.convert.formats import find_format
+from rema_data.convert.seal import format_of
 from rema_data.errors import InputError, RunMismatchError
 from rema_data.leftovers import temporary_folder
 from rema_data.progress import Progress, Silent
@@ -44,21 +45,21 @@ def import_release(
     sources: Sequence[Path],
     root: Path,
     name: str | None = None,
-    format: str | Format = "hdf5",
+    format: str | Format | None = None,
     *,
     progress: Progress | None = None,
 ) -> Imported:
     """Make a release, ``root / name``, of files of one export, or folders of them.
 
-    ``name`` is by default that of the exported release, ``format`` robomimic's HDF5; it can be the name of an installed
-    format, or the format itself.
+    ``name`` is by default that of the exported release. ``format`` is the name of an installed format, or the format
+    itself; by default the one that a sealed folder names, and else robomimic's HDF5.
 
     Raises InputError where the name cannot be one, or the files are not one export with episodes, MissingFileError for
     a missing file, IntegrityError for one that is not whole or contradicts itself, RunMismatchError where a release of
     that name is there already, and StorageError where the disk is full or may not be written.
     """
     progress = progress or Silent()
-    reader = find_format(format)
+    reader = find_format(format or format_of(sources) or "hdf5")
     if name is not None:
         check_name(name)
     with interrupts.held(), reader.read(sources) as source, storage_errors(root):

@@ -1,7 +1,8 @@
-"""Episodes as robomimic lays them out: arrays of observations, actions, rewards and dones, and columns as arrays.
+"""Episodes as arrays: observations, actions, rewards and dones, and columns.
 
-What is written for robomimic alone (actions, rewards, dones, grid index) follows from the columns of ``steps.parquet``;
-observations and columns can be turned back without loss. Observations have their channels last, as robomimic expects.
+What readers want besides (actions, rewards, dones, grid index) follows from the columns of ``steps.parquet``;
+observations and columns can be turned back without loss. Observations have their channels last, as robomimic expects,
+or as planes.
 """
 
 from __future__ import annotations
@@ -20,10 +21,12 @@ from rema_data.heights import dequantise, pack_mask, quantise, unpack_mask
 from rema_data.store.columns import Column
 
 __all__ = [
+    "INSTRUCTIONS",
     "from_array",
     "obs_dtype",
     "obs_of_end_effectors",
     "obs_of_scenes",
+    "planes_of_end_effectors",
     "stored_end_effectors",
     "stored_scenes",
     "to_array",
@@ -31,6 +34,15 @@ __all__ = [
 ]
 
 Array = npt.NDArray[Any]
+INSTRUCTIONS = {
+    "grasp": "Grasp the object and lift it.",
+    "push": "Push the object forward with the closed gripper.",
+    "grasp_grasp": "Pick up two sticks, then grasp the object between them and lift it.",
+    "grasp_push": "Pick up the tool, then push the object forward with it.",
+    "grasp_grasp_push": "Pick up two sticks, pinch an object between them, then push another object forward with it.",
+}
+"""What a task asks for, in a sentence, for formats whose policies read one. Forward is +x."""
+
 _STRINGS = "S"
 _HIGHEST = np.iinfo(np.int16).max
 
@@ -45,12 +57,17 @@ def obs_of_scenes(scene: Array, maps: Maps) -> Array:
     return (dequantise(scene) if maps == "metres" else scene)[..., None]
 
 
+def planes_of_end_effectors(depth: Array, mask: Array, maps: Maps) -> Array:
+    """Planes (N, 4, 112, 112) of stored end-effector maps: depth, mask of state 1, depth, mask of state 2."""
+    planes = np.empty((len(depth), 4, *depth.shape[2:]), obs_dtype(maps))
+    planes[:, 0::2] = dequantise(depth) if maps == "metres" else depth
+    planes[:, 1::2] = unpack_mask(mask)
+    return planes
+
+
 def obs_of_end_effectors(depth: Array, mask: Array, maps: Maps) -> Array:
-    """Observation (N, 112, 112, 4) of stored end-effector maps: depth, mask of state 1, depth, mask of state 2."""
-    obs = np.empty((*depth.shape[:1], *depth.shape[2:], 4), obs_dtype(maps))
-    obs[..., 0::2] = np.moveaxis(dequantise(depth) if maps == "metres" else depth, 1, -1)
-    obs[..., 1::2] = np.moveaxis(unpack_mask(mask), 1, -1)
-    return obs
+    """Observation (N, 112, 112, 4) of stored end-effector maps: their planes, last."""
+    return np.ascontiguousarray(np.moveaxis(planes_of_end_effectors(depth, mask, maps), 1, -1))
 
 
 def _stored_heights(obs: Array) -> Array:
@@ -78,7 +95,7 @@ def stored_end_effectors(obs: Array) -> tuple[Array, Array]:
 
 
 def trajectory(steps: pa.Table) -> dict[str, Array]:
-    """What robomimic reads besides the observations, one row a step of one or more whole episodes.
+    """What readers want besides the observations, one row a step of one or more whole episodes.
 
     ``actions`` float32 (N, 4) in [-1, 1]: x and y of the hand over half the width of the scene map (0.144 m), cosine
     and sine of its yaw. ``rewards`` float32 (N,): 1 where the task was accomplished. ``dones`` int64 (N,): 1 at the end

@@ -14,7 +14,7 @@ from rema_data.store.block import BlockReader, EncodedMaps
 from rema_data.store.maps import MapsReader
 from rema_data.store.tables import with_column
 
-__all__ = ["PIECE_STEPS", "Piece", "read_pieces"]
+__all__ = ["PIECE_STEPS", "Piece", "piece_bounds", "read_pieces"]
 
 PIECE_STEPS = 256
 """Steps of a piece, at least one episode: some 50 MB of float32 maps."""
@@ -50,11 +50,7 @@ def read_pieces(reader: BlockReader, piece_steps: int = PIECE_STEPS) -> Iterator
             hint=reader.repair_hint(reader.folder),
             path=str(reader.folder),
         )
-    start = 0
-    while start < len(ends):
-        limit = first[start] + piece_steps
-        stop = max(start + 1, int(np.searchsorted(ends, limit, side="right")))
-        begin, end = int(first[start]), int(ends[stop - 1])
+    for start, stop, begin, end in piece_bounds(counts, piece_steps):
         rows, local = np.unique(ee_row[begin:end], return_inverse=True)
         yield Piece(
             with_column(episodes.slice(start, stop - start), "first_step", first[start:stop] - begin),
@@ -66,7 +62,16 @@ def read_pieces(reader: BlockReader, piece_steps: int = PIECE_STEPS) -> Iterator
                 _read_rows(maps, "ee_mask", rows),
             ),
         )
-        start = stop
+
+
+def piece_bounds(counts: Array, piece_steps: int = PIECE_STEPS) -> Iterator[tuple[int, int, int, int]]:
+    """First and last episode, first and last step of every piece, the last ones excluded; from steps of episodes."""
+    ends = np.cumsum(counts, dtype=np.int64)
+    start = begin = 0
+    while start < len(ends):
+        stop = max(start + 1, int(np.searchsorted(ends, begin + piece_steps, side="right")))
+        yield start, stop, begin, int(ends[stop - 1])
+        start, begin = stop, int(ends[stop - 1])
 
 
 def _read_rows(maps: MapsReader, name: str, rows: Array) -> Array:

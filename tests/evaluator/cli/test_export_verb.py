@@ -116,7 +116,7 @@ def test_an_import_says_what_differs(release: ReleaseFolder) -> None:
         (("export",), "Missing option '--output'"),
         (("export", "{release}", "--output", "out", "--task", "grasp_push"), "has no task grasp_push"),
         (("export", "{release}", "--output", "out", "--task", "lift"), "'lift' is not one of"),
-        (("export", "{release}", "--output", "out", "--format", "rlds"), "unknown format 'rlds'"),
+        (("export", "{release}", "--output", "out", "--format", "csv"), "unknown format 'csv'"),
         (("export", "{release}", "--output", "out", "--maps", "feet"), "'feet' is not one of"),
         (("import",), "Missing argument"),
         (("import", "nothing"), "there is no file nothing"),

@@ -260,3 +260,32 @@ def test_the_code_of_the_page_runs() -> None:
     assert "environment.step(action)" in code
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert said.split()[-1] in ("0.0", "1.0")
+
+
+def collected(task: str, index: int) -> str:
+    return f"collected/3/round-2/{task}/train/{index}"
+
+
+def test_a_collected_episode_is_drawn_again() -> None:
+    """The objects are those that a collection with this seed has in this episode."""
+    from baselines.rounds.play import draw_placements
+    from rema_data.schema import Scenario
+    from rema_data.store.block import BlockKey
+
+    environment = made("grasp_push", protocol="end-to-end")
+    found, info = environment.reset(options={"scenario": collected("grasp_push", 5)})
+    objects = draw_placements(3, BlockKey(2, "grasp_push", "train"), 5)
+    wanted = observe(Scenario("grasp_push", "train", 5, objects).first_situation())
+    assert info["scenario"] == collected("grasp_push", 5)
+    assert np.array_equal(found["scene"], wanted.scene_m())
+    environment.close()
+
+
+def test_a_collected_episode_begins_with_empty_hands() -> None:
+    environment = made("grasp_push")
+    with pytest.raises(InputError, match="begins with empty hands") as caught:
+        environment.reset(options={"scenario": collected("grasp_push", 5)})
+    assert "end-to-end" in caught.value.hint
+    with pytest.raises(InputError, match="is not a scenario of grasp_push"):
+        environment.reset(options={"scenario": collected("push", 5)})
+    environment.close()

@@ -11,12 +11,15 @@ from evaluator.cli.main import cli
 from rema_data.convert import export_release, find_format
 from rema_data.convert.hdf5 import Hdf5
 from rema_data.errors import InputError
+from rema_data.plugins import installed
 from rema_data.release.folder import ReleaseFolder
 from rema_data.testing.formats import FormatContract
 
+BUILT_IN = sorted(name for name, point in installed("rema.formats").items() if point.value.startswith("rema_data."))
 
-class TestHdf5(FormatContract):
-    format = Hdf5()
+for _name in BUILT_IN:
+    _contract = f"Test{_name.capitalize()}"
+    globals()[_contract] = type(_contract, (FormatContract,), {"format": find_format(_name), "__module__": __name__})
 
 
 class Copied(Hdf5):
@@ -63,10 +66,11 @@ def test_two_packages_with_one_name_are_an_error(tmp_path: Path, monkeypatch: py
 def test_an_unknown_format_lists_what_is_installed(release: ReleaseFolder, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="unknown format 'zip'") as caught:
         export_release(release, tmp_path, "zip")
-    assert caught.value.hint == "installed formats: broken, copied, gone, hdf5"
+    names = f"installed formats: {', '.join(sorted([*BUILT_IN, *PLACES]))}"
+    assert caught.value.hint == names
     for arguments in (["export", str(release.path)], ["import", str(tmp_path)]):
         done = CliRunner().invoke(cli, [*arguments, "--format", "zip", "--output", str(tmp_path / "out")])
-        assert done.exit_code == 2 and "installed formats: broken, copied, gone, hdf5" in done.stderr
+        assert done.exit_code == 2 and names in done.stderr
 
 
 @pytest.mark.parametrize(("name", "why"), [("broken", "it needs libfoo"), ("gone", "no_package")])

@@ -1,0 +1,146 @@
+"""Parquet that ``datasets.load_dataset`` opens: the release as one data set, a configuration a task, a row a step.
+
+::
+
+    rema-mini/
+        README.md                           the card: which files are which configuration and split
+        grasp_push/train-round-1.parquet    the columns of steps.parquet, the seed, and the maps
+        rema/                               what ``rema import`` needs (``seal``)
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from rema_data.convert.base import Maps
+from rema_data.convert.folders import FolderFormat, NewDataset
+from rema_data.convert.layout import INSTRUCTIONS, obs_dtype, obs_of_scenes, planes_of_end_effectors
+from rema_data.convert.nested import array_feature, feature, nested, parquet_writer, read_nested, with_features
+from rema_data.convert.pieces import Piece
+from rema_data.convert.seal import SealedFolder
+from rema_data.grid import EE_PIXELS, SCENE_PIXELS
+from rema_data.release.manifest import BlockEntry, Manifest
+from rema_data.storage import new_file, write_atomic
+from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, Column
+from rema_data.store.keys import SPLITS, BlockKey
+
+__all__ = ["HuggingFace"]
+
+Array = npt.NDArray[Any]
+
+_MAPS = {"scene": (SCENE_PIXELS, SCENE_PIXELS), "end_effector": (4, EE_PIXELS, EE_PIXELS)}
+_MEANING = {
+    "scene": "height above the table before the step",
+    "end_effector": "height and mask of the acting hand at the start, height and mask at the end, at yaw 0",
+}
+_SEED = next(column for column in EPISODE_COLUMNS if column.name == "seed")
+_COLUMNS = (_SEED, *(column for column in STEP_COLUMNS if column.name not in ("scene_row", "ee_row")))
+"""All but the places of the maps in the release."""
+
+
+def _path(key: BlockKey) -> str:
+    return f"{key.task}/{key.split}-round-{key.round}.parquet"
+
+
+class HuggingFace(FolderFormat):
+    """A folder for Hugging Face ``datasets``."""
+
+    name: ClassVar[str] = "hf"
+
+    def folder(self, manifest: Manifest, task: str) -> str:
+        """All tasks are in the folder of the release."""
+        return manifest.name
+
+    def write(self, dataset: NewDataset) -> None:
+        """See ``FolderFormat``."""
+        for block in dataset.blocks:
+            with new_file(dataset.folder / _path(block.key)) as file:
+                _write_block(file, dataset, block)
+        write_atomic(dataset.folder / "README.md", _card(dataset))
+
+    def observations(self, dataset: SealedFolder, number: int, steps: int) -> Iterator[tuple[Array, Array]]:
+        """See ``FolderFormat``."""
+        for columns in read_nested(dataset.path / _path(dataset.blocks[number]), _MAPS, steps):
+            yield columns["scene"][..., None], np.moveaxis(columns["end_effector"], 1, -1)
+
+
+def _write_block(file: Any, dataset: NewDataset, block: BlockEntry) -> None:
+    writer = None
+    try:
+        for piece in dataset.pieces(block):
+            table = _table(piece, dataset.maps)
+            writer = writer or parquet_writer(file, table.schema)
+            writer.write_table(table, row_group_size=table.num_rows)
+    finally:
+        if writer is not None:
+            writer.close()
+
+
+def _table(piece: Piece, chosen: Maps) -> pa.Table:
+    maps = piece.maps
+    end_effectors = planes_of_end_effectors(maps.ee_depth, maps.ee_mask, chosen)
+    counts = piece.episodes["steps"].to_numpy()
+    columns = {
+        "scene": nested(obs_of_scenes(maps.scene, chosen)[..., 0]),
+        "end_effector": nested(end_effectors[maps.ee_row]),
+        "seed": pa.array(np.repeat(piece.episodes["seed"].to_numpy(), counts)),
+        **{column.name: piece.steps[column.name] for column in _COLUMNS if column is not _SEED},
+    }
+    features = {name: array_feature(shape, obs_dtype(chosen)) for name, shape in _MAPS.items()}
+    features |= {column.name: feature(column.type) for column in _COLUMNS}
+    table = pa.table(columns)
+    return table.cast(with_features(table.schema, features))
+
+
+def _card(dataset: NewDataset) -> str:
+    """The card. JSON strings are valid YAML."""
+    manifest = dataset.release.manifest
+    tasks = list(dict.fromkeys(block.task for block in dataset.blocks))
+    lines = [
+        "---",
+        f"pretty_name: {json.dumps(manifest.title)}",
+        f"license: {manifest.license.lower()}",
+        "task_categories:",
+        "- robotics",
+        "configs:",
+    ]
+    for task in tasks:
+        lines += [f"- config_name: {task}", "  data_files:"]
+        here = {block.split for block in dataset.blocks if block.task == task}
+        for split in (split for split in SPLITS if split in here):
+            lines += [f"  - split: {split}", f"    path: {task}/{split}-round-*.parquet"]
+    unit = "m" if dataset.maps == "metres" else "0.1 mm, from -10 mm"
+    maps = [Column(name, obs_dtype(dataset.maps), meaning, unit) for name, meaning in _MEANING.items()]
+    lines += [
+        "---",
+        "",
+        f"# {manifest.title}",
+        "",
+        manifest.description,
+        "",
+        f"Exported from the release {manifest.name} ({manifest.sha256}); `rema import` brings it back.",
+        "",
+        "```python",
+        "import datasets",
+        "",
+        f'steps = datasets.load_dataset("{manifest.name}", "{tasks[0]}", split="{dataset.blocks[0].split}")',
+        "```",
+        "",
+        "| configuration | task |",
+        "|---|---|",
+        *(f"| `{task}` | {INSTRUCTIONS[task]} |" for task in tasks),
+        "",
+        "| column | type | unit | frame | meaning |",
+        "|---|---|---|---|---|",
+        *(f"| `{c.name}` | {c.type} | {c.unit} | {c.frame} | {c.meaning} |" for c in (*maps, *_COLUMNS)),
+        "",
+        f"Please cite: {manifest.citation}",
+        "",
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,96 @@
+"""Minari: one data set a task, whose environment is that of ``evaluator.gym``.
+
+::
+
+    grasp_push-v1/
+        data/metadata.json
+        data/main_data.hdf5
+            episode_0                       attributes: id, total_steps, options/scenario, and some of the episode
+                observations/scene          (n + 1, 64, 64): the last one is there twice, as the environment gives it
+                observations/end_effector   (n + 1, 112, 112, 4)
+                observations/step           (n + 1,)
+                actions                     (n,) grid index
+                rewards, terminations, truncations
+                infos/outcome, infos/is_success     (n + 1,): those of the reset say nothing
+        rema/                               what ``rema import`` needs (``seal``)
+
+The environment's ``valid`` is left out: Minari has no way to describe a mask of several axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+from typing import Any, ClassVar
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from rema_data.convert.base import ExportOptions
+from rema_data.convert.folders import FolderFormat, NewDataset
+from rema_data.convert.hdf5_file import open_file, reading
+from rema_data.convert.hdf5_parts import dataset as array_of
+from rema_data.convert.hdf5_parts import part
+from rema_data.convert.minari_writer import MAIN, METADATA, dataset_name, metadata, write_episodes
+from rema_data.convert.pieces import PIECE_STEPS
+from rema_data.convert.seal import SealedFolder
+from rema_data.errors import InputError
+from rema_data.release.manifest import Manifest
+from rema_data.storage import write_atomic
+
+__all__ = ["Minari"]
+
+Array = npt.NDArray[Any]
+
+
+class Minari(FolderFormat):
+    """Minari's HDF5 storage."""
+
+    name: ClassVar[str] = "minari"
+
+    def folder(self, manifest: Manifest, task: str) -> str:
+        """The name by which ``minari.load_dataset`` finds it."""
+        return dataset_name(task)
+
+    def check_options(self, options: ExportOptions) -> None:
+        """See ``FolderFormat``."""
+        super().check_options(options)
+        if options.maps != "metres":
+            raise InputError(
+                "the format minari has heights in metres, as its environments do", hint="leave out --maps quantised"
+            )
+
+    def write(self, dataset: NewDataset) -> None:
+        """See ``FolderFormat``."""
+        write_episodes(dataset)
+        size = (dataset.folder / MAIN).stat().st_size
+        write_atomic(dataset.folder / METADATA, metadata(dataset, size))
+
+    def observations(self, dataset: SealedFolder, number: int, steps: int) -> Iterator[tuple[Array, Array]]:
+        """See ``FolderFormat``."""
+        entries = {block.key: block for block in dataset.manifest.blocks}
+        counts = [entries[key].episodes for key in dataset.blocks]
+        first = sum(counts[:number])
+        path = dataset.path / MAIN
+        with closing(open_file(path)) as file:
+            waiting: list[tuple[Array, Array]] = []
+            for index in range(first, first + counts[number]):
+                with reading(path):
+                    waiting.append(_maps(file, f"episode_{index}"))
+                if sum(len(scenes) for scenes, _ in waiting) >= PIECE_STEPS:
+                    yield _joined(waiting)
+                    waiting = []
+            if waiting:
+                yield _joined(waiting)
+
+
+def _maps(file: h5py.File, name: str) -> tuple[Array, Array]:
+    seen = part(file, f"{name}/observations")
+    scenes, end_effectors = (array_of(seen, kind)[:-1] for kind in ("scene", "end_effector"))
+    return scenes[..., None], end_effectors
+
+
+def _joined(maps: list[tuple[Array, Array]]) -> tuple[Array, Array]:
+    scenes, end_effectors = (np.concatenate(arrays) for arrays in zip(*maps, strict=True))
+    return scenes, end_effectors
