@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from evaluator.render.studio import COLOUR_NAMES
+from evaluator.render.colours import COLOUR_NAMES
 from evaluator.sim.kinds import kind_of
 from evaluator.sim.parameters import WORLD
 from rema_data.schema import Failure, Situation
