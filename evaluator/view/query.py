@@ -24,7 +24,6 @@ _TEXT, _SORT = "q", "sort"
 Term = str | tuple[str, str, str]
 
 
-
 @dataclass(frozen=True, slots=True)
 class Query:
     """Filters, free text and order; every part must hold."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from evaluator.view.source import Films, Notice, Seen, StepRow
+from evaluator.view.source import Films, Notice, Seen, Source, StepRow
 from evaluator.view.table import ID, EpisodeTable, Field
 from rema_data.errors import IntegrityError, RemaError
 from rema_data.interrupts import check
@@ -56,7 +56,7 @@ class _Block:
     first: int  # row of its first episode in the whole table
 
 
-class ReleaseSource:
+class ReleaseSource(Source):
     """See ``Source``."""
 
     kind = "release"

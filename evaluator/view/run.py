@@ -7,7 +7,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -16,7 +15,7 @@ from evaluator.rollout.episode import first_step
 from evaluator.run.plan import scenario_list
 from evaluator.run.reading import read_run
 from evaluator.sim.observation import observe
-from evaluator.view.source import Films, Notice, Seen, StepRow
+from evaluator.view.source import Films, Notice, Seen, Source, StepRow
 from evaluator.view.table import ID, EpisodeTable, Field
 from rema_data import grid
 from rema_data.errors import InputError, RemaError
@@ -47,11 +46,10 @@ _FIELDS = (
 _SUMMED = "sim_steps"  # of all steps of an episode, where every other piece of evidence is of the step that decided it
 
 
-class RunSource:
+class RunSource(Source):
     """See ``Source``."""
 
     kind = "run"
-    notices: Sequence[Notice]
 
     def __init__(self, folder: Path) -> None:
         self._run = run = read_run(folder)
@@ -67,13 +65,14 @@ class RunSource:
             ("simulator", ", ".join(f"{name} {value}" for name, value in found.fingerprint.items())),
             *([("seal", found.seal)] if found.seal else []),
         ]
-        self.notices = []
+        notices = []
         try:
             self._scenarios  # noqa: B018 - read now, to say at once what cannot be shown
         except RemaError as error:
-            self.notices.append(Notice(f"Steps cannot be drawn or played again here: {error.message}", error.hint))
+            notices.append(Notice(f"Steps cannot be drawn or played again here: {error.message}", error.hint))
         if protocol_hash(run.task, run.protocol) != found.protocol_hash:
-            self.notices.append(Notice("This installation has another protocol than the run: expect differences."))
+            notices.append(Notice("This installation has another protocol than the run: expect differences."))
+        self.notices = notices
 
     @cached_property
     def _scenarios(self) -> Sequence[Scenario]:
@@ -144,5 +143,3 @@ def _table(results: pa.Table, steps: Sequence[int], cells: Any) -> EpisodeTable:
     ]
     fields = [*_FIELDS, *measured, Field(_SUMMED, "simulation steps of the whole episode")]
     return EpisodeTable([field for field in fields if field.name in columns], columns)
-
-

@@ -80,7 +80,7 @@ class _Numbers:
 
     def at(self, row: int) -> float | int | None:
         value = float(self.values[row])
-        if math.isnan(value):
+        if not math.isfinite(value):
             return None
         return int(value) if self.whole else value
 
@@ -93,7 +93,8 @@ class _Numbers:
     def containing(self, word: str) -> Mask:
         """Whole numbers are found by their digits; a part of a measurement says nothing."""
         if self.whole and word.isascii() and word.isdecimal():
-            return self.values == float(word)
+            found: Mask = self.values == float(word)
+            return found
         return np.zeros(len(self.values), np.bool_)
 
     def compared(self, sign: str, value: str) -> Mask:
@@ -131,9 +132,11 @@ class EpisodeTable:
     def __init__(self, fields: Sequence[Field], columns: Mapping[str, pa.Array | pa.ChunkedArray]) -> None:
         self.fields = tuple(fields)
         self.ids: list[str] = columns[ID].to_pylist()
-        self._columns = {ID: _Texts(np.arange(len(self.ids), dtype=np.int32), self.ids)} | {
-            field.name: _column(columns[field.name], field.filtered) for field in fields if field.name != ID
-        }
+        # names stay in the order of the table
+        names = _Texts(np.arange(len(self.ids), dtype=np.int32), self.ids)
+        self._columns: dict[str, _Texts | _Numbers] = {ID: names}
+        for field in self.fields[1:]:
+            self._columns[field.name] = _column(columns[field.name], field.filtered)
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -158,7 +161,7 @@ class EpisodeTable:
                 "meaning": field.meaning,
                 "unit": field.unit,
                 "listed": field.listed,
-                "number": isinstance(column, _Numbers),
+                "type": "whole" if column.whole else "real" if isinstance(column, _Numbers) else "text",
                 "width": min(_WIDEST, max(column.width(), len(field.name))),
                 "values": list(column.values) if field.filtered and isinstance(column, _Texts) else None,
             }
@@ -224,16 +227,10 @@ class EpisodeTable:
         return rows[np.argsort(-ranks if sort.startswith("-") else ranks, kind="stable")]
 
 
-def _as_numpy(array: pa.Array | pa.ChunkedArray) -> npt.NDArray[Any]:
-    """Numbers without nulls. By DLPack: the ways of Arrow import pandas, which takes longer than reading a release."""
-    whole = array.combine_chunks() if isinstance(array, pa.ChunkedArray) else array
-    return np.from_dlpack(whole) if len(whole) else np.empty(0)
-
-
 def _column(array: pa.Array | pa.ChunkedArray, filtered: bool) -> _Texts | _Numbers:
     whole = pa.types.is_integer(array.type)
     if not filtered and (whole or pa.types.is_floating(array.type)):
-        return _Numbers(_as_numpy(pc.fill_null(array.cast(pa.float64()), math.nan)), whole)
+        return _Numbers(pc.fill_null(array.cast(pa.float64()), math.nan).to_numpy(), whole)
     values = sorted(value for value in pc.unique(array).to_pylist() if value is not None)
     codes = pc.fill_null(pc.index_in(array, pa.array(values, array.type)), -1)
-    return _Texts(_as_numpy(codes), [str(value) for value in values], whole)
+    return _Texts(codes.to_numpy(), [str(value) for value in values], whole)

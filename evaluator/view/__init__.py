@@ -1,0 +1,7 @@
+"""Browse every episode of a release or of a run in a page: served to this machine, or written into one file."""
+
+from evaluator.view.opening import open_source
+from evaluator.view.server import serving
+from evaluator.view.viewer import Viewer
+
+__all__ = ["Viewer", "open_source", "serving"]
