@@ -2,6 +2,7 @@
 
 from evaluator.view.opening import open_source
 from evaluator.view.server import serving
+from evaluator.view.static import WrittenPage, write_page
 from evaluator.view.viewer import Viewer
 
-__all__ = ["Viewer", "open_source", "serving"]
+__all__ = ["Viewer", "WrittenPage", "open_source", "serving", "write_page"]

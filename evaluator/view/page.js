@@ -165,12 +165,13 @@ const need = (piece) => {
   pieces.set(piece, null);
   load([["offset", piece * PIECE]]).then(paint, (thrown) => $("list-fault").replaceChildren(faultBox(fault(thrown))));
 };
+const stretch = () => { $("body").style.height = `${total * rowHeight()}px`; };
 const paint = () => {
   const height = rowHeight();
   const view = $("table");
   const first = Math.max(0, Math.floor(view.scrollTop / height) - 8);
   const last = Math.min(total, Math.ceil((view.scrollTop + view.clientHeight) / height) + 8);
-  $("body").style.height = `${total * height}px`;
+  stretch();
   const rows = [];
   for (let at = first; at < last; at += 1) {
     const row = rowAt(at);
@@ -200,6 +201,7 @@ const renew = async () => {
     $("count").textContent = total === about.episodes ? many(total, "episode") : `${many(total, "episode")} of ${about.episodes.toLocaleString("en")}`;
     $("table").setAttribute("aria-rowcount", total + 1);
     countFilters(answer.counts);
+    stretch();
     $("table").scrollTop = 0;
     if (position !== null) reveal(position, true);
   } catch (thrown) {
@@ -300,7 +302,8 @@ const buildHead = () => {
     cell.dataset.title = title;
     $("head").append(cell);
   }
-  const wide = (one) => `${Math.max(one.width, words(one.name).length) * 0.98 + 3}ch`;
+  const labels = about.fields.find((one) => one.name === "failure")?.width ?? 0; // shown in place of "failed"
+  const wide = (one) => `${Math.max(one.width, one.name === "outcome" ? labels : 0) * 0.85 + 3}ch`;
   $("table").style.setProperty("--columns", listed.map(wide).join(" "));
 };
 

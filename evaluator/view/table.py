@@ -20,7 +20,7 @@ __all__ = ["ID", "EpisodeTable", "Field", "Selection"]
 
 ID = "id"
 """The column that names an episode: text, every row another one."""
-_WIDEST = 26
+_WIDEST = 34
 """Characters of a column in the list, at most."""
 
 Mask = npt.NDArray[np.bool_]
