@@ -25,19 +25,19 @@ def open_source(name_or_path: str | None, progress: Progress) -> Source:
     IntegrityError
         The run or the manifest is damaged, or every block of the release that is here.
     """
-    if name_or_path is not None and name_or_path not in published():
+    if name_or_path is not None:
         path = Path(name_or_path).expanduser()
+        if (path / RUN_FILE).is_file() or (path / SUMMARY_FILE).is_file():
+            from evaluator.view.run import RunSource
+
+            return RunSource(path)
         if path.is_file():
             raise InputError(
                 f"{path} is a file",
                 hint="give the folder of a run or of a release; an entry of the leaderboard has no table to browse",
                 path=str(path),
             )
-        if (path / RUN_FILE).is_file() or (path / SUMMARY_FILE).is_file():
-            from evaluator.view.run import RunSource
-
-            return RunSource(path)
-        if path.is_dir() and not (path / MANIFEST).is_file():
+        if path.is_dir() and not (path / MANIFEST).is_file() and name_or_path not in published():
             raise MissingFileError(
                 f"{path} holds neither a sealed release nor a finished run",
                 hint="name a release, the folder that `rema collect` or `rema download` made, or the run folder of a "
