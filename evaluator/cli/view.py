@@ -83,7 +83,8 @@ def view(
     elif as_json:
         print_json({"file": str(written.path), "bytes": written.size, "episodes": written.episodes})
     else:
-        line(f"{written.path}: {written.size / _MEGABYTE:.1f} MB, {written.episodes} episodes")
+        plural = "" if written.episodes == 1 else "s"
+        line(f"{written.path}: {written.size / _MEGABYTE:.1f} MB, {written.episodes} episode{plural}")
 
 
 def _serve(viewer: Viewer, port: int, browser: bool, query: str, episode: str | None) -> None:

@@ -70,6 +70,8 @@ def push_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """The folder of a run of real pushes, some of them without an answer; pictures of it are small."""
     folder = tmp_path_factory.mktemp("installation")
     write_push_list(folder / "manifests")
+    (folder / "manifests" / "datasets").mkdir()
+    (folder / "manifests" / "datasets" / "index.json").write_text('{"releases": []}\n')
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("REMA_MANIFESTS", str(folder / "manifests"))
         patch.setenv("REMA_HOME", str(folder / "home"))
