@@ -8,14 +8,14 @@ from evaluator.run.header import RUN_FILE
 from evaluator.run.seal import SUMMARY_FILE
 from evaluator.view.source import Source
 from rema_data.errors import InputError, MissingFileError
-from rema_data.progress import Progress
+from rema_data.progress import Progress, Silent
 from rema_data.release.manifest import MANIFEST
 from rema_data.release.registry import published
 
 __all__ = ["open_source"]
 
 
-def open_source(name_or_path: str | None, progress: Progress) -> Source:
+def open_source(name_or_path: str | None = None, progress: Progress | None = None) -> Source:
     """The release of a published name, the release or the run in a folder; by default the newest release here.
 
     Raises
@@ -46,4 +46,4 @@ def open_source(name_or_path: str | None, progress: Progress) -> Source:
             )
     from evaluator.view.release import ReleaseSource
 
-    return ReleaseSource(name_or_path, progress)
+    return ReleaseSource(name_or_path, progress or Silent())

@@ -17,7 +17,6 @@ import pytest
 from evaluator.policy import PolicySpec
 from evaluator.render import images
 from evaluator.view import Viewer, open_source, serving
-from rema_data.progress import Silent
 from rema_data.release.folder import ReleaseFolder
 from rema_data.testing import make_release
 from tests.evaluator.report.conftest import HOSTILE_NAME, POLICY, evaluate_pushes, write_push_list
@@ -55,7 +54,7 @@ def copied(tiny: ReleaseFolder, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def viewer(tiny: ReleaseFolder) -> Viewer:
-    return Viewer(open_source(str(tiny.path), Silent()))
+    return Viewer(open_source(str(tiny.path)))
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,6 @@ import pytest
 
 from benchmarks.browser import CHROMIUM, Browser
 from evaluator.view import Viewer, open_source, serving, write_page
-from rema_data.progress import Silent
 from tests.evaluator.view.conftest import Client
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: apt-get install chromium")
@@ -120,28 +119,63 @@ def test_a_link_to_what_there_is_not_is_named(
 def test_damage_is_named_in_place_of_the_picture(browser: Browser, copied: Path) -> None:
     (path,) = (path for path in (copied / "round-1/grasp/train/maps.zarr/scene/c").rglob("*") if path.is_file())
     path.write_bytes(bytes(path.stat().st_size))
-    with serving(Viewer(open_source(str(copied), Silent()))) as address:
+    with serving(Viewer(open_source(str(copied)))) as address:
         browser.open(f"{address}#round-1/grasp/train/0", FAULT)
         assert "rema verify" in browser.evaluate(f"{FAULT}.textContent")
 
 
 @pytest.mark.parametrize("width", [1280, 820, 390])
-@pytest.mark.parametrize("dark", [False, True])
-def test_nothing_is_wider_than_the_window(width: int, dark: bool, client: Client, viewer: Viewer) -> None:
+def test_nothing_is_wider_than_the_window(width: int, browser: Browser, client: Client, viewer: Viewer) -> None:
     name = viewer.rows("task=grasp_grasp&sort=-steps")["rows"][0]["id"]
-    with Browser(width, 900, dark) as narrow:
+    browser.resize(width, 900)
+    try:
         for link in ("", f"#{name}"):
-            narrow.open(client.address + link, f"{LISTED} && ({DRAWN} || {json.dumps(not link)})")
-            assert narrow.evaluate("document.documentElement.scrollWidth") <= width
-            visible = (
-                "[...document.querySelectorAll('#episode, #list, #filters')].filter((one) => one.offsetHeight > 0)"
-            )
-            assert narrow.evaluate(f"{visible}.every((one) => one.scrollWidth <= one.clientWidth + 1)") is True
-            assert narrow.evaluate(f"{visible}.length") == (3 if width > 720 else 1 if link else 2)
+            browser.open(client.address + link, DRAWN if link else LISTED)
+            assert browser.evaluate("document.documentElement.scrollWidth") <= width
+            every = "[...document.querySelectorAll('#episode, #list, #filters')]"
+            visible = f"{every}.filter((one) => one.offsetHeight > 0)"
+            assert browser.evaluate(f"{visible}.every((one) => one.scrollWidth <= one.clientWidth + 1)") is True
+            assert browser.evaluate(f"{visible}.length") == (3 if width > 720 else 1 if link else 2)
+    finally:
+        browser.resize(1280, 900)
+
+
+# relative luminance of the colour of an element and of what is behind it (WCAG 2)
+CONTRASTS = """
+(() => {
+  const light = (colour) => colour.match(/[0-9.]+/g).slice(0, 3).map(Number)
+    .map((one) => one / 255).map((one) => one <= 0.04045 ? one / 12.92 : ((one + 0.055) / 1.055) ** 2.4)
+    .reduce((sum, one, at) => sum + one * [0.2126, 0.7152, 0.0722][at], 0);
+  const behind = (one) => {
+    for (; one; one = one.parentElement) {
+      const colour = getComputedStyle(one).backgroundColor;
+      if (!/, 0\\)|transparent|color\\(/.test(colour)) return colour;
+    }
+    return "rgb(255, 255, 255)";
+  };
+  return Math.min(...[...document.querySelectorAll("body *:not(script)")]
+    .filter((one) => one.offsetHeight && !one.disabled)
+    .filter((one) => [...one.childNodes].some((node) => node.nodeType === Node.TEXT_NODE && node.data.trim()))
+    .map((one) => [light(getComputedStyle(one).color), light(behind(one))])
+    .map(([a, b]) => (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05)));
+})()
+"""
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_every_text_can_be_read(dark: bool, browser: Browser, client: Client, viewer: Viewer) -> None:
+    name = viewer.rows("failure=missed")["rows"][0]["id"]
+    browser.resize(1280, 900, dark)
+    try:
+        for link in (name, "nobody"):
+            browser.open(f"{client.address}#{link}", f"{LISTED} && ({DRAWN} || {FAULT})")
+            assert browser.evaluate(CONTRASTS) >= 4.5
+    finally:
+        browser.resize(1280, 900)
 
 
 def test_a_step_is_played_again_at_a_key(browser: Browser, push_run: Path) -> None:
-    viewer = Viewer(open_source(str(push_run), Silent()))
+    viewer = Viewer(open_source(str(push_run)))
     name = viewer.rows("outcome=success")["rows"][0]["id"]
     with serving(viewer) as address:
         browser.open(f"{address}#{name}", DRAWN)

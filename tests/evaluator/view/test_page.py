@@ -15,7 +15,6 @@ from evaluator.view import Viewer, open_source, write_page
 from evaluator.view.page import served_page
 from evaluator.view.static import spread
 from rema_data.errors import InputError, IntegrityError
-from rema_data.progress import Silent
 from tests.evaluator.report.conftest import HOSTILE_NAME
 
 
@@ -49,7 +48,7 @@ def test_the_page_asks_no_other_machine(viewer: Viewer) -> None:
 
 
 def test_words_of_a_file_cannot_end_their_element(push_run: Path, tmp_path: Path) -> None:
-    viewer = Viewer(open_source(str(push_run), Silent()))
+    viewer = Viewer(open_source(str(push_run)))
     page = served_page(viewer).decode()
     assert HOSTILE_NAME in parts(page)[3]["about"]["name"]
     assert HOSTILE_NAME not in page and "<img src=x" not in page
@@ -77,7 +76,7 @@ def test_a_file_has_everything_that_it_shows(viewer: Viewer, tmp_path: Path) -> 
 
 
 def test_a_file_can_have_steps_that_were_played_again(push_run: Path, tmp_path: Path) -> None:
-    viewer = Viewer(open_source(str(push_run), Silent()))
+    viewer = Viewer(open_source(str(push_run)))
     places = [0, 9]  # the second one has no answer of the policy
     page = write_page(viewer, places, tmp_path / "page.html", play=True).path.read_text(encoding="utf-8")
     plays = parts(page)[3]["recorded"]["plays"]
@@ -89,7 +88,7 @@ def test_a_file_can_have_steps_that_were_played_again(push_run: Path, tmp_path: 
 def test_a_file_of_damaged_maps_is_not_written(copied: Path, tmp_path: Path) -> None:
     (path,) = (path for path in (copied / "round-1/grasp/train/maps.zarr/scene/c").rglob("*") if path.is_file())
     path.write_bytes(bytes(path.stat().st_size))
-    viewer = Viewer(open_source(str(copied), Silent()))
+    viewer = Viewer(open_source(str(copied)))
     with pytest.raises(IntegrityError, match="is damaged"):
         write_page(viewer, [0, 1], tmp_path / "page.html")
     assert not (tmp_path / "page.html").exists()

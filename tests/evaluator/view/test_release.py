@@ -11,7 +11,6 @@ import pytest
 import rema_data
 from evaluator.view import Viewer, open_source
 from rema_data.errors import InputError, IntegrityError, MissingFileError
-from rema_data.progress import Silent
 from rema_data.release.folder import ReleaseFolder
 from rema_data.schema import EVIDENCE
 from rema_data.store.tables import situation_of
@@ -56,7 +55,7 @@ def test_an_episode_has_the_steps_and_the_maps_of_the_release(viewer: Viewer, ti
 
 def test_missing_blocks_are_named_and_the_others_are_shown(copied: Path) -> None:
     shutil.rmtree(copied / "round-2" / "grasp_push" / "train")
-    source = open_source(str(copied), Silent())
+    source = open_source(str(copied))
     assert len(source.table) == 62
     (notice,) = source.notices
     assert "1 blocks of tiny are not on this machine" in notice.message and "round-2/grasp_push/train" in notice.message
@@ -66,7 +65,7 @@ def test_missing_blocks_are_named_and_the_others_are_shown(copied: Path) -> None
 def test_a_damaged_table_is_named_and_the_others_are_shown(copied: Path) -> None:
     path = copied / "round-1" / "grasp" / "train" / "steps.parquet"
     path.write_bytes(b"\0" * path.stat().st_size)
-    source = open_source(str(copied), Silent())
+    source = open_source(str(copied))
     assert len(source.table) == 62
     (notice,) = source.notices
     assert str(path) in notice.message and "rema verify" in notice.hint
@@ -76,7 +75,7 @@ def test_a_release_without_a_whole_table_is_refused(copied: Path) -> None:
     for path in copied.rglob("episodes.parquet"):
         path.write_bytes(b"\0" * path.stat().st_size)
     with pytest.raises(IntegrityError, match="is damaged") as caught:
-        open_source(str(copied), Silent())
+        open_source(str(copied))
     assert "rema verify" in caught.value.hint
 
 
@@ -84,7 +83,7 @@ def test_a_release_without_any_block_is_refused(copied: Path) -> None:
     for path in copied.glob("round-*"):
         shutil.rmtree(path)
     with pytest.raises(MissingFileError, match="not on this machine"):
-        open_source(str(copied), Silent())
+        open_source(str(copied))
 
 
 def test_damaged_maps_are_named_where_they_are_asked_for(copied: Path) -> None:
@@ -92,7 +91,7 @@ def test_damaged_maps_are_named_where_they_are_asked_for(copied: Path) -> None:
     data = bytearray(path.read_bytes())
     data[10:60] = bytes(50)
     path.write_bytes(data)
-    viewer = Viewer(open_source(str(copied), Silent()))
+    viewer = Viewer(open_source(str(copied)))
     with pytest.raises(IntegrityError, match="scene is damaged") as caught:
         viewer.picture("round-1/grasp/train/0", 0, "scene")
     assert "rema verify" in caught.value.hint

@@ -11,7 +11,6 @@ import pytest
 from evaluator.run.reading import read_run
 from evaluator.view import Viewer, open_source
 from rema_data.errors import InputError, IntegrityError, MissingFileError
-from rema_data.progress import Silent
 from tests.evaluator.runs import EPISODES, solved, use_installation, write_run
 
 
@@ -25,7 +24,7 @@ def test_every_row_of_the_results_is_an_episode(installed: Path) -> None:
     lost = np.zeros(EPISODES, bool)
     lost[:7] = True
     folder = write_run(installed / "run", solved(0.4, 1), lost=lost)
-    viewer = Viewer(open_source(str(folder), Silent()))
+    viewer = Viewer(open_source(str(folder)))
     run, table = read_run(folder), viewer.source.table
     assert len(table) == EPISODES
     for place, recorded in enumerate(run.rows):
@@ -45,7 +44,7 @@ def test_every_row_of_the_results_is_an_episode(installed: Path) -> None:
 def test_the_evidence_of_an_episode_is_that_of_the_step_that_decided_it(installed: Path) -> None:
     first, second = solved(0.6, 1), solved(0.5, 2)
     folder = write_run(installed / "run", [first, second], task="grasp_push", protocol="end-to-end")
-    viewer = Viewer(open_source(str(folder), Silent()))
+    viewer = Viewer(open_source(str(folder)))
     for place, recorded in enumerate(read_run(folder).rows):
         decided = 0 if recorded["failed_step"] == 0 else 1
         row = viewer.source.table.row(place)
@@ -56,7 +55,7 @@ def test_the_evidence_of_an_episode_is_that_of_the_step_that_decided_it(installe
 
 
 def test_a_step_is_played_again_as_it_was_recorded(push_run: Path) -> None:
-    viewer = Viewer(open_source(str(push_run), Silent()))
+    viewer = Viewer(open_source(str(push_run)))
     name = viewer.rows("outcome=success")["rows"][0]["id"]
     assert viewer.picture(name, 0, "scene").startswith(b"\x89PNG")
     played = viewer.stills(name, 0)
@@ -66,7 +65,7 @@ def test_a_step_is_played_again_as_it_was_recorded(push_run: Path) -> None:
 
 
 def test_an_episode_without_an_answer_has_words_and_no_picture(push_run: Path) -> None:
-    viewer = Viewer(open_source(str(push_run), Silent()))
+    viewer = Viewer(open_source(str(push_run)))
     name = viewer.rows("failure=policy_error")["rows"][0]["id"]
     (step,) = viewer.episode(name)["steps"]
     assert step["action"] is None and "the policy raised" in step["why"]
@@ -79,7 +78,7 @@ def test_an_episode_without_an_answer_has_words_and_no_picture(push_run: Path) -
 
 def test_a_run_of_other_scenarios_is_listed_without_pictures(installed: Path) -> None:
     folder = write_run(installed / "run", solved(0.4, 1), identity={"scenarios_hash": "0" * 64}, verified=False)
-    viewer = Viewer(open_source(str(folder), Silent()))
+    viewer = Viewer(open_source(str(folder)))
     assert any("cannot be drawn or played again here" in notice.message for notice in viewer.source.notices)
     assert viewer.rows("")["total"] == EPISODES
 
@@ -88,7 +87,7 @@ def test_an_unfinished_run_says_how_to_finish_it(installed: Path) -> None:
     folder = write_run(installed / "run", solved(0.4, 1))
     (folder / "summary.json").unlink()
     with pytest.raises(MissingFileError, match="no finished run") as caught:
-        open_source(str(folder), Silent())
+        open_source(str(folder))
     assert "rema evaluate" in caught.value.hint
 
 
@@ -97,14 +96,14 @@ def test_a_damaged_run_is_refused(installed: Path) -> None:
     summary = json.loads((folder / "summary.json").read_text())
     (folder / "summary.json").write_text(json.dumps({**summary, "successes": 1 + summary["successes"]}))
     with pytest.raises(IntegrityError, match="successes"):
-        open_source(str(folder), Silent())
+        open_source(str(folder))
 
 
 def test_an_entry_and_an_empty_folder_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("REMA_MANIFESTS", raising=False)
     (tmp_path / "entry.json").write_text("{}")
     with pytest.raises(InputError, match="is a file"):
-        open_source(str(tmp_path / "entry.json"), Silent())
+        open_source(str(tmp_path / "entry.json"))
     with pytest.raises(MissingFileError, match="neither a sealed release nor a finished run") as caught:
-        open_source(str(tmp_path), Silent())
+        open_source(str(tmp_path))
     assert "rema evaluate" in caught.value.hint

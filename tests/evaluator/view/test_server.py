@@ -11,7 +11,6 @@ import pytest
 
 from evaluator.view import Viewer, open_source, serving
 from rema_data.errors import InputError
-from rema_data.progress import Silent
 from tests.evaluator.view.conftest import Client
 
 
@@ -121,7 +120,7 @@ def test_damage_is_answered_and_told_once(copied: Path) -> None:
     (path,) = (path for path in (copied / "round-1/grasp/train/maps.zarr/scene/c").rglob("*") if path.is_file())
     path.write_bytes(bytes(path.stat().st_size))
     told: list[str] = []
-    with serving(Viewer(open_source(str(copied), Silent())), note=told.append) as address:
+    with serving(Viewer(open_source(str(copied))), note=told.append) as address:
         for _ in range(2):
             status, answer = Client(address).get("api/picture", episode="round-1/grasp/train/0", step=0, what="scene")
             assert status == 500 and "is damaged" in answer["error"] and "rema verify" in answer["hint"]
