@@ -17,25 +17,14 @@ __all__ = ["Desk"]
 
 
 class Desk:
-    """Plays steps again, one after the other: all methods may be called by any thread."""
+    """Plays steps again, one after the other: all methods may be called by any thread, PyBullet may not."""
 
     def __init__(self, source: Source) -> None:
         self._source = source
-        self._lock = threading.RLock()
+        self._lock = threading.Lock()
         self._films: FilmMaker | None = None
         self._studio: Studio | None = None
         self._last: tuple[tuple[int, int], Take] | None = None
-
-    def films(self) -> FilmMaker:
-        """The simulator."""
-        with self._lock:
-            if self._films is None:
-                from evaluator.render.film import FilmMaker
-                from evaluator.sim.bullet import require_bullet
-
-                require_bullet()
-                self._films = FilmMaker()
-            return self._films
 
     def stills(self, place: int, step: StepRow) -> dict[str, Any]:
         """Photographs before and after a step, and whether it ended as it was recorded."""
@@ -61,8 +50,17 @@ class Desk:
         """The step, carried out once for its photographs and its film."""
         key = (place, step.number)
         if self._last is None or self._last[0] != key:
-            self._last = key, self._source.take(place, step.number, self.films())
+            self._last = key, self._source.take(place, step.number, self._simulator())
         return self._last[1]
+
+    def _simulator(self) -> FilmMaker:
+        if self._films is None:
+            from evaluator.render.film import FilmMaker
+            from evaluator.sim.bullet import require_bullet
+
+            require_bullet()
+            self._films = FilmMaker()
+        return self._films
 
     def _photographer(self) -> Studio:
         if self._studio is None:

@@ -303,7 +303,7 @@ const buildHead = () => {
     $("head").append(cell);
   }
   const labels = about.fields.find((one) => one.name === "failure")?.width ?? 0; // shown in place of "failed"
-  const wide = (one) => `${Math.max(one.width, one.name === "outcome" ? labels : 0) * 0.8 + 2.6}ch`;
+  const wide = (one) => `${Math.max(one.width, one.name === "outcome" ? labels : 0) * (one.name === "id" ? 1 : 0.8) + 2.6}ch`;
   $("table").style.setProperty("--columns", listed.map(wide).join(" "));
 };
 

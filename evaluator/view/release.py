@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from evaluator.view.source import Films, Notice, Seen, Source, StepRow
+from evaluator.view.source import Notice, Play, Seen, Source, StepRow
 from evaluator.view.table import ID, EpisodeTable, Field
 from rema_data.errors import IntegrityError, RemaError
 from rema_data.interrupts import check
@@ -89,7 +89,7 @@ class ReleaseSource(Source):
         rows = block.steps.slice(head["first_step"], head["steps"]).to_pylist()
         return [StepRow(row["step"], row) for row in rows]
 
-    def seen(self, place: int, step: int, films: Films) -> Seen:
+    def seen(self, place: int, step: int, play: Play) -> Seen:
         from rema_data.gallery import steps_with_maps  # imports Zarr
 
         row = self._row(place, step)

@@ -15,11 +15,11 @@ from evaluator.rollout.episode import first_step
 from evaluator.run.plan import scenario_list
 from evaluator.run.reading import read_run
 from evaluator.sim.observation import observe
-from evaluator.view.source import Films, Notice, Seen, Source, StepRow
+from evaluator.view.source import Notice, Play, Seen, Source, StepRow
 from evaluator.view.table import ID, EpisodeTable, Field
 from rema_data import grid
 from rema_data.errors import InputError, RemaError
-from rema_data.schema import EVIDENCE, Evidence, Scenario, Situation
+from rema_data.schema import EVIDENCE, Evidence, Scenario
 
 if TYPE_CHECKING:
     from evaluator.render.film import FilmMaker, Take
@@ -95,21 +95,17 @@ class RunSource(Source):
             steps.append(StepRow(number, {"policy": self._run.policy, **found}))
         return steps
 
-    def seen(self, place: int, step: int, films: Films) -> Seen:
+    def seen(self, place: int, step: int, play: Play) -> Seen:
         if step == self._run.steps[0]:
             situation = first_step(self._scenarios[place], self._run.protocol)
         else:  # what the hand holds follows from the steps before
-            situation = self._situation(place, step, films())
-        return Seen(situation, observe(situation))
-
-    def _situation(self, place: int, step: int, films: FilmMaker) -> Situation:
-        take = self.take(place, step, films)
-        if take.situation.step != step:
+            situation = play().situation
+        if situation.step != step:
             raise InputError(
-                f"played again here, {self.table.ids[place]} ends at step {take.situation.step + 1}",
+                f"played again here, {self.table.ids[place]} ends at step {situation.step + 1}",
                 hint=f"compare the simulators: rema replay {self._run.source}",
             )
-        return take.situation
+        return Seen(situation, observe(situation))
 
     def take(self, place: int, step: int, films: FilmMaker) -> Take:
         (row,) = self._run.table.slice(place, 1).to_pylist()

@@ -14,10 +14,10 @@ from rema_data.schema import Observation, Situation
 if TYPE_CHECKING:
     from evaluator.render.film import FilmMaker, Take
 
-__all__ = ["Films", "Notice", "Seen", "Source", "StepRow"]
+__all__ = ["Notice", "Play", "Seen", "Source", "StepRow"]
 
-Films = Callable[[], "FilmMaker"]
-"""Gives what simulates steps; it is made when it is first needed."""
+Play = Callable[[], "Take"]
+"""Carries a step out again, where that is needed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +68,8 @@ class Source(ABC):
         """The steps that were executed, or that are recorded."""
 
     @abstractmethod
-    def seen(self, place: int, step: int, films: Films) -> Seen:
-        """What a step started from; the step was executed."""
+    def seen(self, place: int, step: int, play: Play) -> Seen:
+        """What a step started from; the step was executed. ``play`` is ``take`` of this step."""
 
     @abstractmethod
     def take(self, place: int, step: int, films: FilmMaker) -> Take:

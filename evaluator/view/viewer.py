@@ -161,7 +161,8 @@ class Viewer:
         return found
 
     def _look(self, place: int, number: int) -> Seen:
-        return self.source.seen(place, number, self.desk.films)
+        step = next(step for step in self.source.steps(place) if step.number == number)
+        return self.source.seen(place, number, lambda: self.desk.take(place, step))
 
     def _draw(self, place: int, number: int, what: str) -> bytes:
         seen = self._seen(place, number)
