@@ -21,6 +21,7 @@ from urllib.parse import urlencode
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+from PIL import Image
 from rich.table import Table
 
 from benchmarks.browser import CHROMIUM, Browser
@@ -40,6 +41,9 @@ QUERIES: dict[str, dict[str, str]] = {
 LINK = "task=grasp_push&failure=illegal_contact&round=4&episode=round-4/grasp_push/train/36"
 PICTURES = {"view": (1280, 900, False), "view_phone": (390, 844, True)}
 """Pictures of the documentation: width and height in pixels, and whether the colours are dark."""
+
+COLOURS = 128
+"""Of a picture: enough for text and flat colours, and small enough for a repository."""
 
 
 def serve(release: str) -> tuple[subprocess.Popen[str], str, float]:
@@ -111,6 +115,9 @@ def draw(address: str, folder: Path, link: str) -> None:
             browser.open(f"{address}#{link}", DRAWN)
             time.sleep(0.5)
             browser.screenshot(folder / f"{name}.png")
+        with Image.open(folder / f"{name}.png") as picture:
+            small = picture.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+        small.save(folder / f"{name}.png", optimize=True)
 
 
 def main() -> int:
