@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import time
 import webbrowser
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, urlencode
 
 import click
@@ -35,6 +36,8 @@ _EPISODES = 200
 @click.option("--output", type=click.Path(path_type=Path), help="Write an HTML file instead of serving.")
 @click.option("--episodes", type=click.IntRange(1, 5000), help=f"Of the file, spread evenly.  [default: {_EPISODES}]")
 @click.option("--play", is_flag=True, help="The file also has photographs and films: some seconds a step.")
+@click.option("--mp4", type=click.Path(path_type=Path), help="Write the film of --episode (needs rema[video]).")
+@click.option("--rrd", type=click.Path(path_type=Path), help="Write --episode for Rerun (needs rema[rerun]).")
 @json_option
 def view(
     release_or_run: str | None,
@@ -45,20 +48,25 @@ def view(
     output: Path | None,
     episodes: int | None,
     play: bool,
+    mp4: Path | None,
+    rrd: Path | None,
     as_json: bool,
 ) -> None:
     """Browse every episode of a release or of a run in a page, without any network.
 
     RELEASE_OR_RUN is the name of a release, its folder, or a run folder of `rema evaluate`; by default the newest
     release on this machine. The page is served to this machine alone, until Ctrl-C. With --output it is a file that
-    needs no server.
+    needs no server; --mp4 and --rrd write one episode.
     """
-    serving_only = {"--port": port is not None, "--no-browser": no_browser}
-    writing_only = {"--episodes": episodes is not None, "--play": play, "--json": as_json}
-    for option, given in (writing_only if output is None else serving_only).items():
-        if given:
-            way = "drop it, or add --output FILE.html" if output is None else f"drop {option} or --output"
-            raise InputError(f"{option} is for {'a file' if output is None else 'serving'}", hint=way)
+    writing = not (output is None and mp4 is None and rrd is None)
+    _refuse(
+        {"--port": port is not None, "--no-browser": no_browser}, writing, "is for serving", "drop it, or the files"
+    )
+    no_page = output is None
+    _refuse({"--episodes": episodes is not None, "--play": play}, no_page, "is for a page", "add --output FILE.html")
+    _refuse({"--json": as_json}, not writing, "is for files", "add --output FILE.html")
+    one = {"--mp4": mp4 is not None, "--rrd": rrd is not None}
+    _refuse(one, episode is None, "writes one episode", "name it with --episode ID")
     # Imported here, so that a mistyped option is answered at once.
     from evaluator.cli.progress import StderrProgress
     from evaluator.view import Viewer, open_source, write_page
@@ -66,6 +74,7 @@ def view(
     from evaluator.view.static import spread
     from evaluator.view.viewer import LINK
 
+    files: list[dict[str, Any]] = []
     with StderrProgress() as progress:
         source = open_source(release_or_run, progress)
         viewer = Viewer(source)
@@ -73,18 +82,39 @@ def view(
         place = None if episode is None else viewer.place(episode)
         for notice in source.notices:
             progress.note(f"{notice.message}\n{notice.hint}".strip())
+        if writing:
+            import_pybullet()
         if output is not None:
-            if play:
-                import_pybullet()
             places = spread(selected, episodes or _EPISODES) if place is None else [place]
-            written = write_page(viewer, places, output, play=play, progress=progress)
-    if output is None:
+            write_page(viewer, places, output, play=play, progress=progress)
+            files.append({"file": output, "episodes": len(places)})
+        if episode is not None and mp4 is not None:
+            from evaluator.view.video import write_video
+
+            files.append({"file": mp4, "frames": write_video(viewer, episode, mp4, progress)})
+        if episode is not None and rrd is not None:
+            from evaluator.view.recording import write_recording
+
+            files.append({"file": rrd, "steps": write_recording(viewer, episode, rrd, progress)})
+    if not writing:
         _serve(viewer, port or 0, not no_browser, query, episode)
-    elif as_json:
-        print_json({"file": str(written.path), "bytes": written.size, "episodes": written.episodes})
-    else:
-        plural = "" if written.episodes == 1 else "s"
-        line(f"{written.path}: {written.size / _MEGABYTE:.1f} MB, {written.episodes} episode{plural}")
+        return
+    for about in files:
+        path = about["file"]
+        about.update(file=str(path), bytes=path.stat().st_size)
+        if not as_json:
+            count, what = next((about[name], name) for name in ("episodes", "frames", "steps") if name in about)
+            plural = what.removesuffix("s") if count == 1 else what
+            line(f"{path}: {about['bytes'] / _MEGABYTE:.1f} MB, {count} {plural}")
+    if as_json:
+        print_json({"files": files})
+
+
+def _refuse(options: Mapping[str, bool], where: bool, why: str, way: str) -> None:
+    """Raise InputError for an option that was given where it has no meaning."""
+    for option, given in options.items():
+        if given and where:
+            raise InputError(f"{option} {why}", hint=way)
 
 
 def _serve(viewer: Viewer, port: int, browser: bool, query: str, episode: str | None) -> None:

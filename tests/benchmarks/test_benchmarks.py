@@ -102,7 +102,7 @@ def test_a_page_is_written_and_measured(tmp_path: Path) -> None:
 
 @pytest.mark.benchmark
 def test_browsing_is_measured(tmp_path: Path) -> None:
-    content = measured(tmp_path, "view", "--release", "rema-sample", "--repeats", "2", "--pictures", str(tmp_path))
+    content = measured(tmp_path, "view", "--release", "rema-sample", "--repeats", "2")
     assert content["numbers"]["episodes"] == 1200 and content["numbers"]["requests_s"]["a map"] > 0
 
 

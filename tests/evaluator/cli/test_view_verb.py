@@ -34,7 +34,8 @@ def test_a_page_is_written(tiny: ReleaseFolder, tmp_path: Path) -> None:
     path = tmp_path / "pages" / "a.html"
     result = view(str(tiny.path), "--output", str(path), "--episodes", "3", "--filter", "task=grasp_push", "--json")
     assert result.exit_code == 0, result.stderr
-    assert json.loads(result.stdout) == {"file": str(path), "bytes": path.stat().st_size, "episodes": 3}
+    (about,) = json.loads(result.stdout)["files"]
+    assert about == {"file": str(path), "bytes": path.stat().st_size, "episodes": 3}
     assert "round-1/grasp_push/train/" in path.read_text() and "round-1/grasp/train/" not in path.read_text()
 
 
@@ -53,7 +54,10 @@ def test_a_page_of_one_episode(tiny: ReleaseFolder, tmp_path: Path) -> None:
         (("RELEASE", "--output", "a.html", "--filter", "q=nothing_of_that"), "no episode was selected", 2),
         (("RELEASE", "--output", "a.png"), "a.png is not an HTML file", 2),
         (("RELEASE", "--output", "a.html", "--port", "8000"), "--port is for serving", 2),
-        (("RELEASE", "--play"), "--play is for a file", 2),
+        (("RELEASE", "--play"), "--play is for a page in a file", 2),
+        (("RELEASE", "--json"), "--json is for files", 2),
+        (("RELEASE", "--mp4", "a.mp4"), "--mp4 writes one episode", 2),
+        (("RELEASE", "--rrd", "a.rrd"), "--rrd writes one episode", 2),
         (("RELEASE", "--port", "99999"), "99999 is not in the range", 2),
     ],
 )
