@@ -59,14 +59,13 @@ def view(
     needs no server; --mp4 and --rrd write one episode.
     """
     writing = not (output is None and mp4 is None and rrd is None)
-    _refuse(
-        {"--port": port is not None, "--no-browser": no_browser}, writing, "is for serving", "drop it, or the files"
-    )
-    no_page = output is None
-    _refuse({"--episodes": episodes is not None, "--play": play}, no_page, "is for a page", "add --output FILE.html")
+    served = {"--port": port is not None, "--no-browser": no_browser}
+    paged = {"--episodes": episodes is not None, "--play": play}
+    single = {"--mp4": mp4 is not None, "--rrd": rrd is not None}
+    _refuse(served, writing, "is for serving", "drop it, or --output, --mp4 and --rrd")
+    _refuse(paged, output is None, "is for a page in a file", "add --output FILE.html")
     _refuse({"--json": as_json}, not writing, "is for files", "add --output FILE.html")
-    one = {"--mp4": mp4 is not None, "--rrd": rrd is not None}
-    _refuse(one, episode is None, "writes one episode", "name it with --episode ID")
+    _refuse(single, episode is None, "writes one episode", "name it with --episode ID")
     # Imported here, so that a mistyped option is answered at once.
     from evaluator.cli.progress import StderrProgress
     from evaluator.view import Viewer, open_source, write_page
