@@ -23,6 +23,7 @@ SECTIONS = {
     "sim_throughput": "Speed of the world",
     "full_run": "Whole runs",
     "report_page": "The report of a run",
+    "view": "Browsing a release",
     "isolation": "Isolation of the policy",
     "hostile": "Hostile policies",
     "memory": "Memory",

@@ -79,6 +79,7 @@ python benchmarks/mutations.py --json $results/mutations.json
 python benchmarks/signals.py --json $results/signals.json
 python benchmarks/coverage.py --json $results/coverage.json
 python benchmarks/report_page.py --run runs/random-grasp-conditional --json $results/report_page.json # with Chromium
+python benchmarks/view.py --pictures docs/images --json $results/view.json # with Chromium
 python benchmarks/scaling.py --json $results/scaling.json
 python benchmarks/scaling_report.py
 python benchmarks/report.py

@@ -20,7 +20,7 @@ from rema_data.store.block import BlockReader
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["GalleryStep", "find_steps"]
+__all__ = ["GalleryStep", "find_steps", "steps_with_maps"]
 
 _MOST = np.iinfo(np.int32).max
 """An episode's number is an int32."""
@@ -78,7 +78,7 @@ def find_steps(
     found: list[GalleryStep] = []
     for block, table, end in zip(blocks, tables, ends, strict=True):
         here = chosen[(chosen >= end - table.num_rows) & (chosen < end)] - (end - table.num_rows)
-        found += _with_maps(release.block(block), table.take(here).to_pylist())
+        found += steps_with_maps(release.block(block), table.take(here).to_pylist())
     return found
 
 
@@ -102,7 +102,8 @@ def _kept(
     return steps.filter(keep)
 
 
-def _with_maps(reader: BlockReader, rows: Sequence[Mapping[str, Any]]) -> Iterator[GalleryStep]:
+def steps_with_maps(reader: BlockReader, rows: Sequence[Mapping[str, Any]]) -> Iterator[GalleryStep]:
+    """Rows of a block's ``steps.parquet``, each with what was observed; raises as ``find_steps`` about damage."""
     maps = reader.maps()
     for row in rows:
         scene, depth = (

@@ -39,6 +39,7 @@ VERBS: dict[str, Verb] = {
     "diff": Verb("evaluator.cli.diff:diff", "Compare two releases: blocks, rows and columns."),
     "doctor": Verb("evaluator.cli.doctor:doctor", "Check this machine: versions, cache, reading speed."),
     "preview": Verb("evaluator.cli.preview:preview", "Show a step of a scenario or of a release as a picture."),
+    "view": Verb("evaluator.cli.view:view", "Browse every episode of a release or of a run in a page."),
     "export": Verb("evaluator.cli.export:export", "Write a release in another format."),
     "import": Verb("evaluator.cli.import_:import_", "Bring an exported release back."),
     "collect": Verb("baselines.rounds.command:collect", "Run a collection plan and seal a release."),

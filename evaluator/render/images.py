@@ -25,7 +25,7 @@ from rema_data import grid
 from rema_data.pictures import scene_map, to_png
 from rema_data.schema import Action, Situation
 
-__all__ = ["MAP_PIXELS", "PHOTO", "Photographs", "draw_action", "draw_scores", "photograph"]
+__all__ = ["FILM", "MAP_PIXELS", "PHOTO", "Photographs", "draw_action", "draw_scores", "film", "photograph", "stills"]
 
 PHOTO = (480, 360)
 FILM = (360, 270)
@@ -53,16 +53,26 @@ class Photographs:
 
 def photograph(studio: Studio, take: Take) -> Photographs:
     """Before, after, and a short animation between them."""
+    return Photographs(*stills(studio, take), film(studio, take))
+
+
+def stills(studio: Studio, take: Take) -> tuple[str, str | None]:
+    """Photographs before and after a take, as ``data:`` URLs; the second is None where no arm moved."""
+    shots = [take.before, take.after] if take.shots else [take.before]
     shown = markers(take.situation, take.action)
-    before = _webp(studio.picture(take.before, shown, PHOTO, CLOSE_UP))
+    before, *after = (_webp(studio.picture(shot, shown, PHOTO, CLOSE_UP)) for shot in shots)
+    return before, after[0] if after else None
+
+
+def film(studio: Studio, take: Take) -> str | None:
+    """A short animation of a take, as a ``data:`` URL; None where no arm moved."""
     if not take.shots:
-        return Photographs(before, None, None)
-    after = _webp(studio.picture(take.after, shown, PHOTO, CLOSE_UP))
+        return None
+    shown = markers(take.situation, take.action)
     count = min(FRAMES, len(take.shots))
     chosen = np.linspace(0, len(take.shots) - 1, count).round().astype(int)
     frames = [studio.picture(take.shots[number], shown, FILM, CLOSE_UP) for number in chosen]
-    seconds = len(take.shots) * SHOT_EVERY * WORLD.time_step_s * _SLOWER
-    return Photographs(before, after, _animation(frames, seconds))
+    return _animation(frames, len(take.shots) * SHOT_EVERY * WORLD.time_step_s * _SLOWER)
 
 
 def draw_action(situation: Situation, action: int) -> str:

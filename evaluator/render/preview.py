@@ -137,8 +137,8 @@ def _caption(take: Take) -> list[str]:
     arm = {"both": "both arms", "none": "no arm"}.get(outcome.arm, f"the {outcome.arm} arm")
     why = "" if outcome.failure is None else f"{FAILURES[outcome.failure]}; "
     return [
-        f"step {situation.step + 1}: {situation.kind.primitive}; {touching_text(situation)} may touch the target "
+        f"step {situation.step + 1}: {situation.kind.primitive}; {touching_text(situation.kind)} may touch the target "
         f"(red, {situation.target.spec.shape})",
         f"action {pictures.action_text(action.cell, action.pose)}; {arm}",
-        f"{why}{measured_text(situation, outcome.evidence())}",
+        f"{why}{measured_text(situation.kind, outcome.evidence())}",
     ]

@@ -16,6 +16,7 @@ import pybullet
 import pybullet_data
 
 from evaluator.render.arms import dressed_urdf
+from evaluator.render.colours import COLOURS, Colour
 from evaluator.sim import robots
 from evaluator.sim.kinematics import base_of, solve, solve_path
 from evaluator.sim.parameters import WORLD, WorldParameters
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CLOSE_UP",
-    "COLOURS",
-    "COLOUR_NAMES",
     "ROOM",
     "Body",
     "Marker",
@@ -42,15 +41,6 @@ __all__ = [
 ]
 
 Array = npt.NDArray[Any]
-Colour = tuple[float, float, float, float]
-
-COLOURS: dict[str, Colour] = {
-    "target": (0.84, 0.18, 0.16, 1.0),
-    "tool": (0.16, 0.42, 0.78, 1.0),
-    "held": (0.55, 0.24, 0.72, 1.0),
-}
-"""Of an object, by what it is to the step."""
-COLOUR_NAMES = {"target": "red", "tool": "blue", "held": "purple"}
 _TABLE: Colour = (0.80, 0.76, 0.70, 1.0)
 _SHADE: Colour = (0.66, 0.62, 0.56, 1.0)
 _COLUMN: Colour = (0.34, 0.36, 0.40, 1.0)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from evaluator.render.studio import COLOUR_NAMES
-from evaluator.sim.kinds import kind_of
+from evaluator.render.colours import COLOUR_NAMES
+from evaluator.sim.kinds import KINDS
 from evaluator.sim.parameters import WORLD
-from rema_data.schema import Failure, Situation
+from rema_data.schema import Failure, StepKind
 
 __all__ = ["FAILURES", "measured_text", "touching_text"]
 
@@ -27,19 +27,19 @@ FAILURES: dict[str, str] = {
 """What a failure label means."""
 
 
-def touching_text(situation: Situation) -> str:
-    """What may touch the target, with its colour in the pictures."""
-    kind = kind_of(situation)
+def touching_text(step: StepKind) -> str:
+    """What may touch the target in a kind of step, with its colour in the pictures."""
+    kind = KINDS[step]
     return kind.touching if kind.role is None else f"{kind.touching} ({COLOUR_NAMES[kind.role]})"
 
 
-def measured_text(situation: Situation, measured: Mapping[str, Any]) -> str:
-    """What a step measured, from the fields of its ``Evidence``."""
+def measured_text(step: StepKind, measured: Mapping[str, Any]) -> str:
+    """What a step of a kind measured, from the fields of its ``Evidence``."""
     if not measured["sim_steps"]:
         return "not simulated: nothing could touch the target, or no arm could move there"
     moved_cm = round((measured["displacement_m"] or 0) * 100, 1) + 0.0  # no minus before a zero
     lifted_cm, force_n = (measured["lift_m"] or 0) * 100, measured["peak_force_n"] or 0
-    pushed = kind_of(situation).measure == "displacement_m"
+    pushed = KINDS[step].measure == "displacement_m"
     main = f"moved {moved_cm:+.1f} cm in x" if pushed else f"lifted {lifted_cm:.1f} cm"
     force = f", {force_n:.0f} N at most in the descent" if force_n >= 0.5 else ""
     return f"{main}{force}, {measured['sim_steps']} simulation steps"

@@ -105,7 +105,7 @@ def _facts(row: Row, take: Take) -> list[tuple[str, str]]:
     across = f", second bar {spec.arm_m * 100:.1f} cm" if spec.arm_m else ""
     facts = [
         ("target (red)", f"{spec.shape.value}, {spec.length_m * 100:.1f} x {spec.width_m * 100:.1f} cm{across}"),
-        ("may touch it", touching_text(situation)),
+        ("may touch it", touching_text(situation.kind)),
         ("action", action_text(action.cell, action.pose)),
     ]
     if arm in ("left", "right", "both"):
@@ -114,7 +114,7 @@ def _facts(row: Row, take: Take) -> list[tuple[str, str]]:
     if label in FAILURES:
         facts.append(("why it failed", FAILURES[label]))
     measured = {name: row[f"step{step}_{name}"] for name in ("displacement_m", "lift_m", "peak_force_n", "sim_steps")}
-    facts.append(("recorded", measured_text(situation, measured)))
+    facts.append(("recorded", measured_text(situation.kind, measured)))
     return facts
 
 

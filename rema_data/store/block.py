@@ -16,7 +16,7 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +29,6 @@ from rema_data.schema import Episode, Observation
 from rema_data.storage import write_atomic
 from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS
 from rema_data.store.keys import SPLITS, BlockKey
-from rema_data.store.maps import ARRAYS, MapsReader, MapsWriter
 from rema_data.store.tables import (
     as_stored,
     episode_row,
@@ -40,6 +39,10 @@ from rema_data.store.tables import (
     to_parquet,
     with_column,
 )
+
+if TYPE_CHECKING:
+    # Zarr is imported where maps are read or written: looking at tables does without it.
+    from rema_data.store.maps import MapsReader
 
 __all__ = ["EPISODES", "SPLITS", "STEPS", "BlockKey", "BlockReader", "BlockWriter", "EncodedMaps", "encode_episodes"]
 
@@ -59,6 +62,8 @@ class EncodedMaps:
 
 def encode_maps(observations: Sequence[Observation]) -> EncodedMaps:
     """Observations as stored maps, equal end-effector maps once."""
+    from rema_data.store.maps import ARRAYS
+
     known: dict[bytes, int] = {}
     rows: list[int] = []
     kept: list[Observation] = []
@@ -97,6 +102,8 @@ class BlockWriter:
     """Writes a block into an empty or new folder, in order; its bytes do not depend on how the calls divide it."""
 
     def __init__(self, folder: Path) -> None:
+        from rema_data.store.maps import MapsWriter
+
         self._folder = folder
         self._maps = MapsWriter(folder)
         self._episodes: list[pa.Table] = []
@@ -161,4 +168,6 @@ class BlockReader:
 
     def maps(self) -> MapsReader:
         """Reader of the maps."""
+        from rema_data.store.maps import MapsReader
+
         return MapsReader(self.folder, self.repair_hint)

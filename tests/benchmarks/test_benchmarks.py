@@ -100,6 +100,12 @@ def test_a_page_is_written_and_measured(tmp_path: Path) -> None:
     assert content["targets"][0]["reached"] and content["numbers"]["bytes"] > 10_000
 
 
+@pytest.mark.benchmark
+def test_browsing_is_measured(tmp_path: Path) -> None:
+    content = measured(tmp_path, "view", "--release", "rema-sample", "--repeats", "2")
+    assert content["numbers"]["episodes"] == 1200 and content["numbers"]["requests_s"]["a map"] > 0
+
+
 def test_no_results_are_an_answer_and_no_traceback(tmp_path: Path) -> None:
     done = run("report", "--results", str(tmp_path), "--output", str(tmp_path / "page.md"))
     assert done.returncode == 2
