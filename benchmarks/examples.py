@@ -3,8 +3,8 @@
     python benchmarks/examples.py                                      # 500 scenarios a task
     python benchmarks/examples.py --episodes 50 --release rema-sample --batches 300
 
-Trains with the examples' own scripts and scores with `rema evaluate`. Runs that are in ``--output`` already are continued;
-checkpoints that are there are kept. Needs scikit-learn (pip install scikit-learn).
+Trains with the examples' own scripts and scores with `rema evaluate`. Checkpoints that are in ``--output`` already are
+kept, and runs there are continued. Needs scikit-learn (pip install scikit-learn).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ LEARNED = {"torch_policy": ("train", "weights.safetensors"), "sklearn_policy": (
 """Script that trains a policy, and its checkpoint."""
 POLICIES = ("random", "my_policy", *LEARNED)
 WANTED_TIMES, WANTED_S = 3.0, 240.0
-"""How many times random's rate a learned policy has at least, and how many seconds of a core its training takes at most."""
+"""How many times random's rate a learned policy reaches, and how many seconds of a core its training may take."""
 
 
 def call(command: list[str]) -> tuple[str, float]:
@@ -104,7 +104,7 @@ def main() -> int:
             what = f"{policy}, {task}: random's rate, both at the end of the interval that is against it"
             targets.append(target(what, f">= {WANTED_TIMES:.0f} times", measured, low >= WANTED_TIMES * chance))
     notes = [
-        f"Trained on {arguments.release}; scored on the first {arguments.episodes:,} scenarios of the validation lists.",
+        f"Trained on {arguments.release}; scored on {arguments.episodes:,} scenarios of the validation lists.",
         *(f"{policy}: {line}." for policy, one in trainings.items() for line in one["validation"]),
     ]
     numbers = {

@@ -1,8 +1,8 @@
 """Train the network of `torch_policy.py` on a release, and look at what it learned on the validation split.
 
-    python examples/train.py --output weights.safetensors                # rema-mini: well under a minute
-    python examples/train.py --release rema-sample --batches 300         # the sample that comes with the package
-    rema evaluate examples/torch_policy.py --checkpoint weights.safetensors --task grasp --episodes 200
+python examples/train.py --output weights.safetensors                # rema-mini: well under a minute
+python examples/train.py --release rema-sample --batches 300         # the sample that comes with the package
+rema evaluate examples/torch_policy.py --checkpoint weights.safetensors --task grasp --episodes 200
 """
 
 from __future__ import annotations
