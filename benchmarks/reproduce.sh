@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
-# Every number of docs/calibration.md, docs/performance.md, docs/baselines.md and docs/policies.md, from nothing, in order. Many hours on two
-# cores; every step can be stopped and run again. Run it alone on the machine: most of it measures time. Needs the extras
-# test, report, openvino and ray (pip install -e ".[test,report,openvino,ray]"), and what the comments name.
+# Every number of docs/calibration.md, docs/performance.md, docs/baselines.md and docs/policies.md, from nothing, in order.
+# Many hours on two cores; every step can be stopped and run again. Run it alone on the machine: most of it measures time.
+# Needs the extras test, report, openvino and ray (pip install -e ".[test,report,openvino,ray]"), and what the comments
+# name.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 results=benchmarks/results
