@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
-# Every number of docs/calibration.md, docs/performance.md and docs/baselines.md, from nothing, in order. Many hours on two
-# cores; every step can be stopped and run again. Run it alone on the machine: most of it measures time. Needs the extras
-# test, report, openvino and ray (pip install -e ".[test,report,openvino,ray]"), and what the comments name.
+# Every number of docs/calibration.md, docs/performance.md, docs/baselines.md and docs/policies.md, from nothing, in order.
+# Many hours on two cores; every step can be stopped and run again. Run it alone on the machine: most of it measures time.
+# Needs the extras test, report, openvino and ray (pip install -e ".[test,report,openvino,ray]"), and what the comments
+# name.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 results=benchmarks/results
@@ -56,6 +57,8 @@ python benchmarks/ablation.py --output runs/ablation --device cuda --ways as-pla
 ways=as-planned,another-seed,300-updates,1000-updates,balanced-on-average,wrong-labels,finer-cells,displaced
 OMP_NUM_THREADS=1 python benchmarks/ablation.py --output runs/ablation-cpu --ways $ways --episodes 2000 \
   --json $results/ablation_cpu.json
+python benchmarks/examples.py --json $results/examples.json # pip install scikit-learn
+python benchmarks/examples.py --page
 python benchmarks/baselines.py --maps --runs runs/*
 python benchmarks/calibration_report.py --runs runs/{random,scripted}-*-conditional
 python benchmarks/full_run.py --tasks grasp,push --json $results/full_run.json
