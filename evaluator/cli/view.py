@@ -82,7 +82,9 @@ def view(
         for notice in source.notices:
             progress.note(f"{notice.message}\n{notice.hint}".strip())
         if writing:
-            import_pybullet()
+            needed = play or any(single.values())  # maps of a release do without
+            with suppress(*(() if needed else (RemaError,))):
+                import_pybullet()
         if output is not None:
             places = spread(selected, episodes or _EPISODES) if place is None else [place]
             write_page(viewer, places, output, play=play, progress=progress)

@@ -15,6 +15,8 @@ from evaluator.view.viewer import Viewer
 __all__ = ["assemble", "served_page"]
 
 _ROOM = "evaluator.view"
+_SCRIPTS = ("ask.js", "list.js", "episode.js", "start.js")
+"""In this order: what is asked and how, the list with its filters, the episode that is open, keys and the beginning."""
 
 
 def served_page(viewer: Viewer) -> bytes:
@@ -24,7 +26,7 @@ def served_page(viewer: Viewer) -> bytes:
 
 def assemble(data: Any, sources: str) -> bytes:
     """The page with its data; ``sources`` are what its content security policy allows besides style and script."""
-    style, script = text_of(_ROOM, "page.css"), text_of(_ROOM, "page.js")
+    style, script = text_of(_ROOM, "page.css"), "\n\n".join(text_of(_ROOM, name) for name in _SCRIPTS)
     # No text in it can end the element that holds it, whatever it says.
     inside = json.dumps(data, allow_nan=False).replace("<", "\\u003c")
     policy = f"default-src 'none'; {sources}; style-src '{csp_hash(style)}'; script-src '{csp_hash(script)}'"

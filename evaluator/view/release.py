@@ -59,8 +59,6 @@ class _Block:
 class ReleaseSource(Source):
     """See ``Source``."""
 
-    kind = "release"
-
     def __init__(self, name_or_path: str | None, progress: Progress) -> None:
         self._folder = find_release(name_or_path)
         manifest = self._folder.manifest

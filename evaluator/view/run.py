@@ -49,8 +49,6 @@ _SUMMED = "sim_steps"  # of all steps of an episode, where every other piece of 
 class RunSource(Source):
     """See ``Source``."""
 
-    kind = "run"
-
     def __init__(self, folder: Path) -> None:
         self._run = run = read_run(folder)
         found = run.provenance

@@ -52,7 +52,6 @@ class Seen:
 class Source(ABC):
     """Episodes to browse; ``place`` is a row of the table. All methods may raise a RemaError about damage."""
 
-    kind: str  # ``release`` or ``run``
     name: str  # in a few words
     identity: str  # a sha256: with it, what was drawn of an episode may be kept
     facts: Sequence[tuple[str, str]]

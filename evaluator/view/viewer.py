@@ -49,7 +49,6 @@ class Viewer:
         """What is browsed: facts, notices, columns, and the words that the page needs."""
         source = self.source
         return {
-            "kind": source.kind,
             "name": source.name,
             "identity": source.identity,
             "rema": rema_version(),
@@ -57,7 +56,6 @@ class Viewer:
             "facts": [list(fact) for fact in source.facts],
             "notices": [{"error": notice.message, "hint": notice.hint} for notice in source.notices],
             "fields": source.table.describe(),
-            "failures": {str(label): text for label, text in FAILURES.items()},
             "legend": [["#{:02x}{:02x}{:02x}".format(*colour), text] for colour, text in LEGEND],
         }
 

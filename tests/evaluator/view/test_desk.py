@@ -18,7 +18,7 @@ from rema_data.schema import Situation
 class OneAtATime(Source):
     """The release, with steps whose start is known only once they were played again, as in an end-to-end run."""
 
-    kind, identity, facts, notices = "run", "0" * 64, (), ()
+    identity, facts, notices = "0" * 64, (), ()
 
     def __init__(self, source: Source) -> None:
         self.name, self.table, self.source = source.name, source.table, source
