@@ -5,7 +5,7 @@
 
 Minari is no dependency of rema: give it an environment of its own, with rema, and name its Python. Some episodes of
 each data set are played again with their recorded actions in the environment that ``recover_environment`` makes. Exits
-with 6 if anything differs; on another machine than that of the release, a few outcomes may (docs/replay.md).
+with 6 if anything differs, or more outcomes than another machine than that of the release explains (docs/replay.md).
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ from benchmarks.foreign import main_there, runs_there
 INSTALL = "python -m venv minari && minari/bin/pip install 'minari[hdf5]>=0.5.3' -e '.[gym]'"
 REPLAYED = 20
 """Episodes of a data set that are played again."""
+MOST_FLIPS = 2
+"""Of these, how many may have another outcome: on another kind of processor, contact amplifies a last bit."""
 
 
 def read_there(folder: Path) -> tuple[Iterator[dict[str, Any]], Any]:
@@ -35,6 +37,7 @@ def read_there(folder: Path) -> tuple[Iterator[dict[str, Any]], Any]:
 
     dataset = minari.load_dataset(folder.name)
     wrong: list[str] = []
+    flips: list[str] = []
 
     def steps() -> Iterator[dict[str, Any]]:
         for episode in dataset:
@@ -64,8 +67,7 @@ def read_there(folder: Path) -> tuple[Iterator[dict[str, Any]], Any]:
                 _, reward, ended, _, info = environment.step(action)
                 found = (info["outcome"].encode(), reward, ended)
                 if found != (episode.infos["outcome"][n + 1], episode.rewards[n], episode.terminations[n]):
-                    wrong.append(f"step {n} of episode {episode.id} played again: {info['outcome']}")
-                if ended:
+                    flips.append(f"episode {episode.id}, step {n}: {info['outcome']}")
                     break
         spaces, ours = dataset.observation_space.spaces, environment.observation_space.spaces
         if spaces != {name: space for name, space in ours.items() if name != "valid"}:
@@ -74,7 +76,7 @@ def read_there(folder: Path) -> tuple[Iterator[dict[str, Any]], Any]:
             wrong.append("the action space")
         played = len(chosen)
         library = f"minari {version('minari')}, gymnasium {version('gymnasium')}"
-        return {"id": dataset.env_spec.id, "played": played, "wrong": wrong, "library": library}
+        return {"id": dataset.env_spec.id, "played": played, "flips": flips, "wrong": wrong, "library": library}
 
     return steps(), facts
 
@@ -112,6 +114,7 @@ def main() -> int:
     facts = {
         "id": ("environment", lambda name: name.startswith("rema/")),
         "played": ("episodes played again", lambda count: count > 0),
+        "flips": ("other outcomes", lambda names: len(names) <= MOST_FLIPS),
         "wrong": ("what differs", lambda names: not names),
     }
     return compare("minari", __file__, __doc__, INSTALL, expected, facts, lambda folder: folder.removesuffix("-v1"))

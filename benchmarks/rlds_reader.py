@@ -32,12 +32,13 @@ def read_there(folder: Path) -> tuple[Iterator[dict[str, Any]], Any]:
     import tensorflow_datasets as tfds
 
     builder = tfds.builder_from_directory(str(folder))
+    in_order = tfds.ReadConfig(interleave_cycle_length=1)  # one file after another
     counted = 0
 
     def steps() -> Iterator[dict[str, Any]]:
         nonlocal counted
         for split in builder.info.splits:
-            for episode in builder.as_dataset(split=split):
+            for episode in builder.as_dataset(split=split, read_config=in_order):
                 counted += 1
                 about = {name: value.numpy() for name, value in episode["episode_metadata"].items()}
                 texts = {name: value.decode() if isinstance(value, bytes) else value for name, value in about.items()}
