@@ -99,7 +99,13 @@ def compare(
             rate = len(wanted) / seen["seconds"]
             found = [str(seen[key]) for key in facts]
             table.add_row(file.path.name, str(len(wanted)), str(different), *found, f"{rate:,.0f}")
-            row = {"task": file.path.name, "steps": len(wanted), "different": different, "wrong_facts": wrong, "rate": rate}
+            row = {
+                "task": file.path.name,
+                "steps": len(wanted),
+                "different": different,
+                "wrong_facts": wrong,
+                "rate": rate,
+            }
             numbers["rows"].append(row | {key: seen[key] for key in facts})
             numbers["library"] = seen["library"]
         part = "part" if arguments.task else None  # a part of a published release may not have its name
