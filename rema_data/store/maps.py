@@ -181,7 +181,7 @@ class MapsReader:
             try:
                 _check_layout(self._path / name, form)
                 array = zarr.open_array(LocalStore(self._path, read_only=True), path=name, mode="r")
-            except (BaseZarrError, OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+            except (BaseZarrError, OSError, ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:
                 raise self._damage(name, str(error)) from error
             if array.shape[1:] != form.row or array.dtype != form.dtype:
                 raise self._damage(name, f"it holds {array.dtype} {array.shape}")
@@ -225,6 +225,8 @@ def _check_layout(folder: Path, form: ArrayFormat) -> None:
     codecs = [codec["name"] for codec in (sharding, *inner["codecs"], *inner["index_codecs"])]
     if shard != [form.shard_rows, *form.row] or chunk != [form.chunk_rows, *form.row] or codecs != _CODECS:
         raise ValueError("it is not stored in the chunks of a release")
+    if about["fill_value"] != form.fill:  # by which a missing row is known
+        raise ValueError(f"its fill value is {about['fill_value']!r:.40}, not {form.fill}")
     rows = about["shape"][0]
     stored = form.shard_rows * sum(1 for _ in (folder / "c").iterdir()) if (folder / "c").is_dir() else 0
     if type(rows) is not int or not 0 <= rows <= stored:

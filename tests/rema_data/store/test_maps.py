@@ -161,6 +161,16 @@ def test_an_array_of_another_kind_is_refused(old: bytes, new: bytes, tmp_path: P
         MapsReader(tmp_path)
 
 
+@pytest.mark.parametrize("fill", [b"68535", b"-1", b"0", b"null", b'"65535"'])
+def test_an_array_with_another_fill_value_is_refused(fill: bytes, tmp_path: Path) -> None:
+    """A missing row is known by it."""
+    write(tmp_path)
+    path = tmp_path / MAPS / "scene" / "zarr.json"
+    path.write_bytes(path.read_bytes().replace(b'"fill_value": 65535', b'"fill_value": ' + fill))
+    with pytest.raises(IntegrityError, match=r"scene is damaged: its fill value is"):
+        MapsReader(tmp_path)
+
+
 def test_a_missing_array_is_named(tmp_path: Path) -> None:
     write(tmp_path)
     (tmp_path / MAPS / "ee_depth" / "zarr.json").unlink()
