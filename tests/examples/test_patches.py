@@ -26,7 +26,7 @@ def one(heights: Any, i: int, j: int, k: int, primitive: str) -> Any:
 
 
 @PRIMITIVES
-@given(seed=seeds, i=inner, j=st.integers(20, 30), k=angles, move=st.integers(-4, 4))
+@given(seed=seeds, i=inner, j=st.integers(22, 30), k=angles, move=st.integers(-4, 4))
 def test_a_patch_moves_with_the_hand(primitive: str, seed: int, i: int, j: int, k: int, move: int) -> None:
     moved = np.roll(scene(seed), (move, -move), axis=(0, 1))
     np.testing.assert_array_equal(one(scene(seed), i, j, k, primitive), one(moved, i + move, j - move, k, primitive))

@@ -41,6 +41,11 @@ VERB_CASES: dict[str, tuple[str, tuple[str, ...]]] = {
     "download": ("--source {here}/mirror", ("{here}/mirror", "{here}/home/releases/tiny")),
     "stats": ("{here}/mirror/tiny --plot {new}.png", ("{new}.png",)),
     "verify": ("{here}/damaged/tiny", ("in {here}/damaged", "round-1/grasp/train/steps.parquet", LONG)),
+    "diff": (
+        "{here}/mirror/tiny {here}/home/releases/fetched",
+        ("A: tiny (", "B: fetched (", "round-1/push/train", "only in A"),
+    ),
+    "view": ("{here}/mirror/tiny --output {new}.html --episodes 1", ("{new}.html: ",)),
     "doctor": ("--seconds 0", ("REMA_HOME is {here}/home", "{here}/home/releases/fetched")),
     "preview": ("--release {here}/mirror/tiny --count 1 --table --output {new}.png", ("{new}.png: 1 steps",)),
     "export": ("{here}/mirror/tiny --output {new}", ("{new}/grasp.hdf5", "{new}/push.hdf5")),
@@ -73,6 +78,8 @@ ERROR_CASES: dict[str, tuple[str, ...]] = {
     "download": ("--manifest {gone}", "unknown-release-of-a-rather-long-name"),
     "stats": ("{gone}",),
     "verify": ("{gone}",),
+    "diff": ("{gone} {here}/mirror/tiny", "{here}/mirror/tiny {gone}"),
+    "view": ("{gone}", "{gone} --output {new}.html"),
     "doctor": (),
     "preview": ("--release {gone}", "--task grasp --scenario 0 --policy {gone}.py"),
     "export": ("{gone} --output {new}",),
@@ -92,7 +99,7 @@ ERROR_CASES: dict[str, tuple[str, ...]] = {
     "scenarios": ("v9 --picker {gone}.py",),
 }
 """A missing file, or a name that does not exist, of every verb that takes one."""
-SAME_AGAIN = ("stats", "verify", "doctor", "leaderboard", "compare")
+SAME_AGAIN = ("stats", "diff", "verify", "doctor", "leaderboard", "compare")
 
 Rema = Callable[..., Result]
 
@@ -208,7 +215,7 @@ def test_every_verb_in_a_pipe(
     arguments, expected = VERB_CASES[verb]
     result = rema(verb, arguments)
     assert isinstance(result.exception, SystemExit | None), result.exception
-    assert result.exit_code == {"verify": 6, "check": 3}.get(verb, 0), result.output
+    assert result.exit_code == {"verify": 6, "check": 3, "diff": 1}.get(verb, 0), result.output
     assert "\x1b" not in result.output
     text = result.stdout + result.stderr
     for words in expected:
