@@ -25,6 +25,8 @@ __all__ = ["CHECKPOINTS", "file_sha256", "publish_checkpoint", "shipped_checkpoi
 
 CHECKPOINTS = "checkpoints"
 """Folder of networks, inside a folder of releases; and, with a suffix, the name of their manifest."""
+_LONGEST = 200
+"""Characters of a name in the manifest: a longer one is none on some file systems."""
 
 
 def shipped_policies() -> dict[str, tuple[str, dict[str, str]]]:
@@ -34,7 +36,10 @@ def shipped_policies() -> dict[str, tuple[str, dict[str, str]]]:
         return {}
 
     def entries(content: Any) -> dict[str, tuple[str, dict[str, str]]]:
-        return {name: (str(one["folder"]), dict(one["files"])) for name, one in content["policies"].items()}
+        found = {name: (str(one["folder"]), dict(one["files"])) for name, one in content["policies"].items()}
+        if longest := [name for folder, files in found.values() for name in (folder, *files) if len(name) > _LONGEST]:
+            raise ValueError(f"it names {longest[0][:_LONGEST]!r}..., which is too long for a file")
+        return found
 
     return read_manifest(path, "the manifest of networks", entries)
 

@@ -75,7 +75,7 @@ _POSE: dict[type, tuple[str, ...]] = {
 class _Entry(TypedDict):
     """A list in the manifest."""
 
-    file: str
+    file: Annotated[str, pydantic.Field(max_length=200)]  # a longer name is none on some file systems
     sha256: str
     count: Annotated[int, pydantic.Field(ge=1, le=MOST_ROWS)]
 

@@ -88,7 +88,10 @@ def test_a_missing_file(networks: Path) -> None:
     assert "--checkpoint" in caught.value.hint
 
 
-@pytest.mark.parametrize("content", ["{", '{"policies": {"tae-joint": {}}}', "[]"])
+LONG = json.dumps({"policies": {"tae-joint": {"folder": 300 * "x", "files": {}}}})
+
+
+@pytest.mark.parametrize("content", ["{", '{"policies": {"tae-joint": {}}}', "[]", LONG])
 def test_a_damaged_manifest(networks: Path, tmp_path: Path, content: str) -> None:
     (tmp_path / "manifests" / "checkpoints.json").write_text(content)
     with pytest.raises(IntegrityError, match="cannot be read"):

@@ -79,6 +79,15 @@ def test_a_damaged_manifest_is_named(fake_home: Path, text: str) -> None:
         load_list("grasp")
 
 
+def test_a_manifest_whose_file_has_too_long_a_name(fake_home: Path) -> None:
+    path = fake_home / "manifests" / "scenarios" / VERSION / "manifest.json"
+    content = json.loads(path.read_text())
+    content["lists"]["grasp/test"]["file"] += 300 * "x"
+    path.write_text(json.dumps(content))
+    with pytest.raises(IntegrityError, match=r"grasp/test: file is .* at most 200 characters"):
+        load_list("grasp")
+
+
 def test_lists_that_cannot_be_written() -> None:
     with pytest.raises(InputError):
         encode_list([])
