@@ -18,6 +18,7 @@ import pyarrow as pa
 from rema_data.convert.base import ImportedBlock, Maps
 from rema_data.convert.hdf5_file import FORMAT, VERSION, damaged, open_file, reading
 from rema_data.convert.hdf5_parts import attributes, dataset, has, members, part, values
+from rema_data.convert.hdf5_probe import survives
 from rema_data.convert.layout import from_array, obs_dtype, stored_end_effectors, stored_scenes, trajectory
 from rema_data.convert.pieces import PIECE_STEPS, Piece
 from rema_data.errors import InputError, MissingFileError
@@ -63,6 +64,8 @@ def open_source(paths: Sequence[Path]) -> Iterator[Hdf5Source]:
     with ExitStack() as stack:
         files = []
         for path in paths:
+            if path.is_file() and not survives(path):
+                raise damaged(path, "the HDF5 library does not come to an end with it")
             root = stack.enter_context(open_file(path))
             with reading(path):
                 files.append(_File(path, root))

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 from collections import defaultdict
 
 import pytest
 
 from tests.mutations.mutators import FORGERIES, damaged
 from tests.mutations.parsers import PARSERS
-from tests.mutations.trial import GOOD, Trial, trials
+from tests.mutations.trial import GOOD, ROOT, Trial, trials
 
 COUNT = 12
 """Inputs of each parser here; ``benchmarks/mutations.py`` takes 600."""
@@ -35,6 +38,14 @@ def test_mutated_inputs_are_refused_or_read_as_they_were(name: str, found: dict[
 def test_six_hundred_mutated_inputs(name: str) -> None:
     wrong = [trial for trial in trials([name], 600) if trial.result not in GOOD]
     assert not wrong, "\n".join(f"{one.number}, {one.kind}: {one.result} {one.detail}" for one in wrong)
+
+
+def test_a_file_on_which_the_hdf5_library_loops_is_refused() -> None:
+    """Reading an attribute of this one never ends, and nothing in the process could interrupt it."""
+    one = [sys.executable, "-m", "tests.mutations.trial", '[["import of HDF5", 149]]', "150", "0"]
+    done = subprocess.run(one, capture_output=True, text=True, cwd=ROOT, timeout=100)
+    found = Trial(**json.loads(done.stdout.splitlines()[-1]))
+    assert found.result == "refused" and "does not come to an end" in found.detail
 
 
 def test_there_are_more_than_eighteen_parsers() -> None:
