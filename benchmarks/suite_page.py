@@ -7,6 +7,7 @@ python benchmarks/suite_page.py --pictures # and a picture of every cell, drawn 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from pathlib import Path
 
@@ -19,8 +20,9 @@ from matplotlib.figure import Figure
 
 from benchmarks.baseline_tables import markdown
 from benchmarks.results import ROOT
-from evaluator.scenarios import load_list
+from evaluator.scenarios import load_list, manifest_path
 from evaluator.scenarios.axes import AXES, Axis
+from evaluator.scenarios.lists import installed_list
 from evaluator.scenarios.suite import CELL, TRIES, vary
 from evaluator.scenarios.suites import cells
 from evaluator.sim.observation import observe
@@ -28,6 +30,7 @@ from evaluator.sim.simulator import Simulator
 from rema_data.grid import EE_HALF_M, SCENE_HALF_M
 from rema_data.schema import TASKS
 
+NAME = "hard-v1"
 PAGE = ROOT / "docs" / "suite.md"
 PICTURES = ROOT / "docs" / "images"
 DRAWN = ("grasp", "grasp_push")
@@ -46,8 +49,7 @@ rema leaderboard --suite hard-v1                                 # by axis
 rema compare runs/a-grasp-hard-v1 runs/b-grasp-hard-v1           # by cell
 ```
 
-The suite `hard-v1` is not frozen yet: its levels are being settled on validation scenarios. Until then, draw one of
-your own: `rema scenarios my-suite --suite --cell 50 20`.
+{frozen}
 
 A **cell** is one task, one axis and one level. Its scenarios are made of clean ones with the same index: {test} of the
 test list, {val} of the validation list. Every axis has indices of its own, which its levels share, so cells are paired
@@ -57,7 +59,9 @@ functions of a scenario and an action, as in the clean protocol, whose lists, co
 touch.
 
 A scenario without noise or displacement can be solved: one of {tries} actions, those of the reference policy first,
-solves it. One that cannot is drawn again; the manifest counts how often.
+solves it. One that cannot is drawn again, so the ceiling of such a cell is 100 %.
+
+{redrawn}
 
 ## The axes
 
@@ -79,6 +83,31 @@ same draws, is not significant after Holm's adjustment for all pairs of the suit
 Where other loose objects lie beside the target (`clutter`), lifting any one of them, alone, counts: the one between the
 fingers is the target of the attempt.
 """
+
+
+def frozen_text() -> str:
+    """Which lists of the suite are frozen."""
+    there = [task for task in TASKS if installed_list(task, "test", NAME) and installed_list(task, "val", NAME)]
+    missing = [task for task in TASKS if task not in there]
+    text = f"The suite `{NAME}` is frozen in {', '.join(there) or 'no task yet'}."
+    if missing:
+        text += (
+            f" Its lists in {', '.join(missing)} are still to come; until then, draw some of your own: "
+            "`rema scenarios my-suite --suite --cell 50 20`."
+        )
+    return text
+
+
+def redrawn_table() -> str:
+    """How many scenarios every frozen list has, and how often one could not be solved and was drawn again."""
+    path = manifest_path(NAME)
+    lists = json.loads(path.read_bytes())["lists"] if path.is_file() else {}
+    rows = []
+    for name, entry in lists.items():
+        again = [f"{cell}: {count}" for cell, count in entry["redrawn_by_cell"].items() if count]
+        cells = len(entry["redrawn_by_cell"])
+        rows.append([name, str(cells), f"{entry['count']:,}", str(entry["redrawn"]), ", ".join(again) or "none"])
+    return markdown(["list", "cells", "scenarios", "drawn again", "in the cells"], rows)
 
 
 def axes_table() -> str:
@@ -143,7 +172,14 @@ def main() -> None:
             f"![Cells of {task}](images/{path.name})\n\nScene and end-effector map of one validation scenario of every "
             f"cell of {task}, heights in mm from black (0) to white (60)."
         )
-    text = _TEXT.format(**CELL, tries=TRIES, axes=axes_table(), pictures="\n\n".join(shown))
+    text = _TEXT.format(
+        **CELL,
+        tries=TRIES,
+        frozen=frozen_text(),
+        redrawn=redrawn_table(),
+        axes=axes_table(),
+        pictures="\n\n".join(shown),
+    )
     PAGE.write_text(text, encoding="utf-8")
     print(PAGE)
 

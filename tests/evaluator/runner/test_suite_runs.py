@@ -1,0 +1,76 @@
+"""Runs over a frozen suite in the real world: the same bytes for any workers, order and engine, and the frozen maps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from evaluator.policy import resolve
+from evaluator.replay import replay
+from evaluator.runner import EvaluationConfig, questions, run_evaluation
+from rema_data.errors import IntegrityError
+from rema_data.progress import Silent
+
+EPISODES = 40
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of the runs of this file, which share their observations."""
+    return tmp_path_factory.mktemp("suites")
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("REMA_HOME", str(home / "cache"))
+    monkeypatch.delenv("REMA_MANIFESTS", raising=False)
+
+
+class Notes(Silent):
+    """Keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
+
+
+def evaluated(output: Path, notes: Notes | None = None, **changes: Any) -> bytes:
+    fields: dict[str, Any] = {"episodes": EPISODES, "workers": 2, "version": "hard-v1", "split": "val", **changes}
+    run_evaluation(EvaluationConfig(resolve("scripted"), "grasp", output, **fields), notes or Silent())
+    return (output / "results.parquet").read_bytes()
+
+
+@pytest.fixture(scope="module")
+def reference(home: Path) -> bytes:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("REMA_HOME", str(home / "cache"))
+        patch.delenv("REMA_MANIFESTS", raising=False)
+        return evaluated(home / "reference", engine="inline", order="forward")
+
+
+@pytest.mark.parametrize(("workers", "order"), [(1, "shuffled"), (3, "reverse")])
+def test_any_number_of_workers_in_any_order(reference: bytes, home: Path, workers: int, order: str) -> None:
+    assert evaluated(home / f"workers{workers}", workers=workers, order=order) == reference
+
+
+def test_every_row_is_simulated_again(reference: bytes, home: Path) -> None:
+    report = replay(home / "reference", engine="inline")
+    assert report.verified and not report.differences
+
+
+def test_other_maps_than_the_frozen_ones_stop_a_run(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(questions, "observation_sha256", lambda _: "0" * 64)
+    with pytest.raises(IntegrityError, match=f"{EPISODES} of {EPISODES} observations are not those"):
+        evaluated(home / "others")
+
+
+def test_a_few_other_maps_are_noted(reference: bytes, home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(questions, "observation_sha256", lambda _: "0" * 64)
+    monkeypatch.setattr(questions, "FLIP_LIMIT", 1.0)
+    told = Notes()
+    assert evaluated(home / "few", told) == reference
+    assert f"{EPISODES} of {EPISODES} observations differ from the frozen ones, by rounding" in told.notes
