@@ -47,7 +47,8 @@ def network_table(networks: Mapping[str, Path]) -> str:
                 ", ".join(about.skills),
                 f"{sum(values.numel() for values in network.parameters()):,}",
                 f"{about.release} ({about.release_sha256[:12]})",
-                f"{_said(config, 'updates', ',')} x {_said(config, 'batch_size')}, {config.get('precision', 'float32')}",
+                f"{_said(config, 'updates', ',')} x {_said(config, 'batch_size')}, "
+                f"{config.get('precision', 'float32')}",
                 f"{_said(config, 'learning_rate', 'g')}, {_said(config, 'schedule')}",
                 _said(config, "seed"),
                 f"{about.updates:,}",

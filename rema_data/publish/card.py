@@ -35,7 +35,7 @@ def dataset_card(manifest: Manifest, repository: str, viewer: bool) -> str:
 
     JSON strings are valid YAML.
     """
-    steps = sum(block.steps for block in manifest.blocks)
+    steps = manifest.counts["steps"]
     tasks = list(dict.fromkeys(block.task for block in manifest.blocks))
     split = manifest.blocks[0].split
     configs = config_lines(manifest.blocks, f"{VIEWER}/") if viewer else _table_configs(manifest.blocks)
@@ -60,7 +60,7 @@ def dataset_card(manifest: Manifest, repository: str, viewer: bool) -> str:
         "",
         manifest.description,
         "",
-        f"Release `{manifest.name}`, sha256 `{manifest.sha256}`: {sum(b.episodes for b in manifest.blocks):,} episodes, "
+        f"Release `{manifest.name}`, sha256 `{manifest.sha256}`: {manifest.counts['episodes']:,} episodes, "
         f"{steps:,} executed steps.",
         "",
         "## Use",

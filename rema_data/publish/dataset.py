@@ -44,8 +44,8 @@ def publish_release(
 ) -> Published:
     """Write a whole release into the new folder ``target``.
 
-    ``repository``, ``ORG/NAME``, goes into the commands of the card. ``viewer``: also write the steps with their maps in
-    metres as Parquet, which the hub shows and ``datasets`` loads: about as many bytes again as the release has.
+    ``repository``, ``ORG/NAME``, goes into the commands of the card. ``viewer``: also write the steps with their maps
+    in metres as Parquet, which the hub shows and ``datasets`` loads: about as many bytes again as the release has.
 
     Raises InputError for a name that no repository can have, MissingFileError where a block is not on this machine,
     IntegrityError where a file is not the sealed one, RunMismatchError where ``target`` holds something, and

@@ -54,7 +54,7 @@ def test_the_networks_of_rema(tmp_path: Path) -> None:
     assert citation["cff-version"] == "1.2.0" and citation["license"] == "MIT"
 
 
-def test_networks_of_your_own_are_played_from_the_folder(trained: Path, tmp_path: Path) -> None:
+def test_networks_of_your_own(trained: Path, tmp_path: Path) -> None:
     done = publish(trained, "--to", tmp_path / "out", "--license", "Apache-2.0", "--json")
     assert done.exit_code == 0, done.stderr
     answer = json.loads(done.stdout)
@@ -62,10 +62,18 @@ def test_networks_of_your_own_are_played_from_the_folder(trained: Path, tmp_path
     assert answer["files"] == len(list((tmp_path / "out").iterdir())) == 7
     _, about = load_checkpoint(networks_in(tmp_path / "out")["grasp"])
     assert about.release == "mine" and "Apache-2.0" in (tmp_path / "out" / "LICENSE").read_text()
+
+
+@pytest.mark.slow
+def test_the_folder_is_played(trained: Path, tmp_path: Path) -> None:
+    publish_networks(str(trained), tmp_path / "out", "MIT")
     run = CliRunner().invoke(
         cli,
-        ["evaluate", "tae", "--checkpoint", str(tmp_path / "out"), "--task", "grasp", "--episodes", "2"]
-        + ["--engine", "inline", "--output", str(tmp_path / "run"), "--json"],
+        [
+            *f"evaluate tae --checkpoint {tmp_path}/out --task grasp --episodes 2 --engine inline --json".split(),
+            "--output",
+            str(tmp_path / "run"),
+        ],
     )
     assert run.exit_code == 0, run.stderr
     assert json.loads(run.stdout)["episodes"] == 2
