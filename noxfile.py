@@ -87,7 +87,8 @@ def dist(session: nox.Session) -> None:
     session.install("build>=1.0", "twine>=5.1")
     made = Path(session.create_tmp()) / "dist"
     shutil.rmtree(made, ignore_errors=True)
-    session.run("python", "-m", "build", "--outdir", str(made))
+    # Both from the checkout: a wheel that is built from the sdist would not know its commit.
+    session.run("python", "-m", "build", "--sdist", "--wheel", "--outdir", str(made))
     files = sorted(made.iterdir())
     session.run("twine", "check", "--strict", *map(str, files))
     for file in files:
@@ -98,7 +99,10 @@ def dist(session: nox.Session) -> None:
             session.run(str(bin_folder / "pip"), "install", "--quiet", str(file), external=True)
             with session.chdir(empty):
                 environment = {"REMA_HOME": str(Path(empty) / "home"), "PYTHONPATH": ""}
-                for arguments in (["verify", "rema-sample"], ["evaluate", "random", "--task", "grasp", "--episodes", "5"]):
+                for arguments in (
+                    ["verify", "rema-sample"],
+                    ["evaluate", "random", "--task", "grasp", "--episodes", "5"],
+                ):
                     session.run(str(bin_folder / "rema"), *arguments, env=environment, external=True)
     for file in files:
         Path("dist").mkdir(exist_ok=True)

@@ -97,7 +97,9 @@ def test_without_maps_in_parquet_the_tables_are_shown(release: ReleaseFolder, tm
     assert counts == {name: release.manifest.counts[name] for name in counts}
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")  # mlcroissant uses what rdflib deprecates
+@pytest.mark.filterwarnings(
+    "ignore::DeprecationWarning", "ignore::FutureWarning"
+)  # mlcroissant uses what rdflib deprecates
 def test_croissant_reads_the_tables_from_the_top(release: ReleaseFolder, published: Path) -> None:
     content = json.loads((published / "croissant.json").read_text())
     tables = [entry for entry in content["distribution"] if entry["@type"] == "cr:FileObject"]
