@@ -13,7 +13,7 @@ from rema_data.interrupts import check
 from rema_data.leftovers import temporary_folder
 from rema_data.storage import absolute, file_sha256, storage_errors, sync_file, sync_folder, write_atomic
 
-__all__ = ["CHECKSUMS", "Published", "check_repository", "publication"]
+__all__ = ["CHECKSUMS", "Published", "check_repository", "publication", "whole_folder"]
 
 CHECKSUMS = "SHA256SUMS"
 """What ``sha256sum --check`` reads."""
@@ -45,18 +45,18 @@ def check_repository(name: str) -> str:
 
 
 @contextmanager
-def publication(path: Path) -> Iterator[Path]:
-    """A folder to write into, which gets its checksums and becomes ``path`` when the block ends without an error.
+def whole_folder(path: Path, option: str = "--to") -> Iterator[Path]:
+    """A folder to write into, which becomes ``path`` when the block ends without an error.
 
-    Raises RunMismatchError where ``path`` holds something, and StorageError where the disk is full or may not be
-    written; nothing is left then.
+    Raises RunMismatchError where ``path`` holds something (``option`` names another), and StorageError where the disk
+    is full or may not be written; nothing is left then.
     """
     path = absolute(path)
     with storage_errors(path):
         if path.exists() and (not path.is_dir() or any(path.iterdir())):
             raise RunMismatchError(
-                f"{path} is there already: a publication is written into a new folder",
-                hint="choose another folder with --to, or move that one away",
+                f"{path} is there already: this is written into a new folder",
+                hint=f"choose another folder with {option}, or move that one away",
                 path=str(path),
             )
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -64,15 +64,22 @@ def publication(path: Path) -> Iterator[Path]:
             folder = temporary / path.name
             folder.mkdir()
             yield folder
-            write_atomic(folder / ".gitattributes", _ATTRIBUTES)
-            lines = []
-            for file in sorted(item for item in folder.rglob("*") if item.is_file()):
-                check()
-                sync_file(file)
-                sync_folder(file.parent)
-                lines.append(f"{file_sha256(file)}  {file.relative_to(folder).as_posix()}\n")
-            write_atomic(folder / CHECKSUMS, "".join(lines))
             if path.exists():
                 path.rmdir()
             folder.replace(path)
             sync_folder(path.parent)
+
+
+@contextmanager
+def publication(path: Path) -> Iterator[Path]:
+    """``whole_folder``, with the checksums of everything that was written into it."""
+    with whole_folder(path) as folder:
+        yield folder
+        write_atomic(folder / ".gitattributes", _ATTRIBUTES)
+        lines = []
+        for file in sorted(item for item in folder.rglob("*") if item.is_file()):
+            check()
+            sync_file(file)
+            sync_folder(file.parent)
+            lines.append(f"{file_sha256(file)}  {file.relative_to(folder).as_posix()}\n")
+        write_atomic(folder / CHECKSUMS, "".join(lines))
