@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import re
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from evaluator.leaderboard import PUBLISHED, Board, Row
@@ -37,6 +38,8 @@ def write_site(board: Board, target: Path) -> int:
     Raises RunMismatchError where it holds something, and StorageError where the disk is full or may not be written;
     nothing is left then.
     """
+    # Where a run lies on this machine is nobody's business.
+    board = replace(board, rows=tuple(replace(row, source=Path(row.source).name) for row in board.rows))
     pages = _addresses(board.rows)
     with whole_folder(target, "--output") as folder:
         downloads = ", ".join(f'<a href="board.{form}">{form}</a>' for form in _FILES)

@@ -43,6 +43,7 @@ def test_every_policy_has_a_page_and_every_link_leads_somewhere(tmp_path: Path) 
     text = mine.read_text()
     assert "grasp_push" in text and "missed" in text and "50.0" in text and "d" * 12 in text
     assert "https://example.org/?a=1&amp;b=2" in text
+    assert "runs/mine" not in (tmp_path / "site" / "board.json").read_text()
     (paper,) = (tmp_path / "site" / "policies").glob("*-joint.html")
     assert "Table 2" in paper.read_text()
     assert any(html.escape(HOSTILE) in page.read_text() for page in pages)
