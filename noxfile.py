@@ -5,6 +5,11 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import tempfile
+from pathlib import Path
+
 import nox
 
 nox.options.sessions = ["lint", "types", "imports", "tests"]
@@ -74,6 +79,34 @@ def lowest(session: nox.Session) -> None:
     session.install("uv")
     session.run("uv", "pip", "install", "--upgrade", "--resolution", "lowest-direct", ".[test]")
     session.run("pytest", *session.posargs)
+
+
+@nox.session
+def dist(session: nox.Session) -> None:
+    """What a release uploads: built, checked by twine, and each of both files installed and used in an empty folder."""
+    session.install("build>=1.0", "twine>=5.1")
+    made = Path(session.create_tmp()) / "dist"
+    shutil.rmtree(made, ignore_errors=True)
+    # Both from the checkout: a wheel that is built from the sdist would not know its commit.
+    session.run("python", "-m", "build", "--sdist", "--wheel", "--outdir", str(made))
+    files = sorted(made.iterdir())
+    session.run("twine", "check", "--strict", *map(str, files))
+    for file in files:
+        with tempfile.TemporaryDirectory() as empty:
+            place = Path(empty) / "venv"
+            session.run("python", "-m", "venv", str(place))
+            bin_folder = place / ("Scripts" if os.name == "nt" else "bin")
+            session.run(str(bin_folder / "pip"), "install", "--quiet", str(file), external=True)
+            with session.chdir(empty):
+                environment = {"REMA_HOME": str(Path(empty) / "home"), "PYTHONPATH": ""}
+                for arguments in (
+                    ["verify", "rema-sample"],
+                    ["evaluate", "random", "--task", "grasp", "--episodes", "5"],
+                ):
+                    session.run(str(bin_folder / "rema"), *arguments, env=environment, external=True)
+    for file in files:
+        Path("dist").mkdir(exist_ok=True)
+        shutil.copy(file, "dist")
 
 
 def _on(version: str) -> None:

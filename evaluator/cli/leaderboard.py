@@ -20,8 +20,12 @@ __all__ = ["leaderboard"]
 @click.command()
 @click.argument("runs", nargs=-1, type=click.Path(exists=True, path_type=Path))
 @click.option(
-    "--export", "form", type=click.Choice(["md", "html", "tex", "csv", "json"]), help="Print this format instead."
+    "--export",
+    "form",
+    type=click.Choice(["md", "html", "tex", "csv", "json", "site"]),
+    help="Print this format instead; site: see --output.",
 )
+@click.option("--output", type=click.Path(path_type=Path), help="New folder of --export site: pages for a web server.")
 @click.option("--suite", metavar="hard-v1", help="The table of a generalisation suite, by axis.")
 @json_option
 @click.option("--entries/--no-entries", default=True, help="The entries that come with rema too.  [default: yes]")
@@ -33,6 +37,7 @@ __all__ = ["leaderboard"]
 def leaderboard(
     runs: tuple[Path, ...],
     form: str | None,
+    output: Path | None,
     suite: str | None,
     as_json: bool,
     entries: bool,
@@ -51,11 +56,21 @@ def leaderboard(
     from evaluator.cli.progress import StderrProgress
     from evaluator.leaderboard.export import export
 
+    if (form == "site") != (output is not None) or (output is not None and (suite or as_json)):
+        raise InputError(
+            "a site is written into a folder, and nothing else is",
+            hint="rema leaderboard --export site --output FOLDER",
+        )
     if record:
         _record(runs)
     with StderrProgress() as progress:
         board = make_board(runs or None, entries=entries, published=published, verify=verify, progress=progress)
-    if suite is not None:
+    if output is not None:
+        from evaluator.leaderboard.site import write_site
+
+        pages = write_site(board, output)
+        note(f"{output}: {pages} pages, index.html first")
+    elif suite is not None:
         _print_suite(board, suite, "json" if as_json else form)
     elif as_json or form:
         click.echo(export(board, "json" if as_json else str(form)), nl=False)

@@ -41,6 +41,7 @@ VERBS: dict[str, Verb] = {
     "preview": Verb("evaluator.cli.preview:preview", "Show a step of a scenario or of a release as a picture."),
     "view": Verb("evaluator.cli.view:view", "Browse every episode of a release or of a run in a page."),
     "export": Verb("evaluator.cli.export:export", "Write a release in another format."),
+    "publish": Verb("baselines.publish.command:publish", "Write a release or networks ready for the Hugging Face Hub."),
     "import": Verb("evaluator.cli.import_:import_", "Bring an exported release back."),
     "collect": Verb("baselines.rounds.command:collect", "Run a collection plan and seal a release."),
     "train": Verb("baselines.train.command:train", "Train a network on a release."),

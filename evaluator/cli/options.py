@@ -66,7 +66,7 @@ sources_option = click.option(
     "sources",
     multiple=True,
     metavar="URL",
-    help="Folder of releases to ask first: a path, file://, https://, s3://, ... (repeatable, in order).",
+    help="Folder of releases to ask first: a path, https://, hf://datasets/ORG/NAME, s3://, ... (repeatable; in order)",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one object.")
 checkpoint_option = click.option("--checkpoint", type=click.Path(path_type=Path), help="Weights, handed to the policy.")

@@ -15,7 +15,7 @@ from evaluator.leaderboard.escape import one_line, to_csv, to_latex, to_markdown
 from evaluator.statistics import format_interval, percent
 from rema_data.schema import TASKS
 
-__all__ = ["COLUMNS", "FORMATS", "cells", "export", "matrix", "titled_groups"]
+__all__ = ["COLUMNS", "FORMATS", "board_html", "cells", "export", "html_page", "matrix", "titled_groups"]
 
 COLUMNS = (
     "task",
@@ -158,19 +158,29 @@ def _markdown(board: Board) -> str:
 
 def _html(board: Board) -> str:
     """A page of its own, without anything from elsewhere."""
-    parts = [_HTML_HEAD]
+    return html_page("rema leaderboard", board_html(board, lambda row: web_link(row.link)))
+
+
+def html_page(title: str, body: str) -> str:
+    """A page with a body that is HTML."""
+    return f"{_HTML_HEAD.replace('TITLE', html.escape(title))}\n{body}\n</body>\n</html>\n"
+
+
+def board_html(board: Board, address: Callable[[Row], str]) -> str:
+    """The tables of the board and its remarks; the names of policies lead to an address, where it is not empty."""
+    parts = []
     for title, rows in titled_groups(board):
         parts.append(f"<h2>{html.escape(title)}</h2>\n<div><table>")
         parts.append("<tr>" + "".join(f"<th>{html.escape(name)}</th>" for name in _without_title(COLUMNS)) + "</tr>")
         for row in rows:
             line = [html.escape(cell) for cell in _without_title(cells(row))]
-            if link := web_link(row.link):
+            if link := address(row):
                 line[0] = f'<a href="{html.escape(link)}">{line[0]}</a>'
             body = "".join(f"<td>{cell}</td>" for cell in line)
             parts.append(f'<tr class="{html.escape(row.tag)}">{body}</tr>')
         parts.append("</table></div>")
     parts += [f"<p>{html.escape(remark)}</p>" for remark in board.remarks]
-    return "\n".join([*parts, "</body>", "</html>"]) + "\n"
+    return "\n".join(parts)
 
 
 _HTML_HEAD = """<!DOCTYPE html>
@@ -178,7 +188,7 @@ _HTML_HEAD = """<!DOCTYPE html>
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<title>rema leaderboard</title>
+<title>TITLE</title>
 <style>
 :root { color-scheme: light dark; }
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 75rem; padding: 0 1rem; }
@@ -190,7 +200,7 @@ p { max-width: 50rem; }
 </style>
 </head>
 <body>
-<h1>rema leaderboard</h1>"""
+<h1>TITLE</h1>"""
 
 
 def _latex(board: Board) -> str:

@@ -11,7 +11,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -25,12 +25,13 @@ from rema_data.convert.nested import array_feature, feature, nested, parquet_wri
 from rema_data.convert.pieces import Piece
 from rema_data.convert.seal import SealedFolder
 from rema_data.grid import EE_PIXELS, SCENE_PIXELS
+from rema_data.release.licences import hub_licence
 from rema_data.release.manifest import BlockEntry, Manifest
 from rema_data.storage import new_file, write_atomic
 from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, Column
 from rema_data.store.keys import SPLITS, BlockKey
 
-__all__ = ["HuggingFace"]
+__all__ = ["HuggingFace", "column_lines", "config_lines", "steps_path", "write_steps"]
 
 Array = npt.NDArray[Any]
 
@@ -44,7 +45,8 @@ _COLUMNS = (_SEED, *(column for column in STEP_COLUMNS if column.name not in ("s
 """All but the places of the maps in the release."""
 
 
-def _path(key: BlockKey) -> str:
+def steps_path(key: BlockKey) -> str:
+    """Where the steps of a block lie in the folder of the data set."""
     return f"{key.task}/{key.split}-round-{key.round}.parquet"
 
 
@@ -60,21 +62,22 @@ class HuggingFace(FolderFormat):
     def write(self, dataset: NewDataset) -> None:
         """See ``FolderFormat``."""
         for block in dataset.blocks:
-            with new_file(dataset.folder / _path(block.key)) as file:
-                _write_block(file, dataset, block)
+            with new_file(dataset.folder / steps_path(block.key)) as file:
+                write_steps(file, dataset.pieces(block), dataset.maps)
         write_atomic(dataset.folder / "README.md", _card(dataset))
 
     def observations(self, dataset: SealedFolder, number: int, steps: int) -> Iterator[tuple[Array, Array]]:
         """See ``FolderFormat``."""
-        for columns in read_nested(dataset.path / _path(dataset.blocks[number]), _MAPS, steps):
+        for columns in read_nested(dataset.path / steps_path(dataset.blocks[number]), _MAPS, steps):
             yield columns["scene"][..., None], np.moveaxis(columns["end_effector"], 1, -1)
 
 
-def _write_block(file: Any, dataset: NewDataset, block: BlockEntry) -> None:
+def write_steps(file: Any, pieces: Iterable[Piece], maps: Maps) -> None:
+    """Write pieces of a block to a file, a row a step."""
     writer = None
     try:
-        for piece in dataset.pieces(block):
-            table = _table(piece, dataset.maps)
+        for piece in pieces:
+            table = _table(piece, maps)
             writer = writer or parquet_writer(file, table.schema)
             writer.write_table(table, row_group_size=table.num_rows)
     finally:
@@ -98,6 +101,32 @@ def _table(piece: Piece, chosen: Maps) -> pa.Table:
     return table.cast(with_features(table.schema, features))
 
 
+def config_lines(blocks: Sequence[BlockEntry], within: str = "") -> list[str]:
+    """Front matter of a card: a configuration a task, of the files of these blocks below the folder ``within``."""
+    lines = ["configs:"]
+    for task in dict.fromkeys(block.task for block in blocks):
+        lines += [f"- config_name: {task}", "  data_files:"]
+        here = {block.split for block in blocks if block.task == task}
+        for split in (split for split in SPLITS if split in here):
+            lines += [f"  - split: {split}", f"    path: {within}{task}/{split}-round-*.parquet"]
+    return lines
+
+
+def column_lines(tasks: Iterable[str], maps: Maps) -> list[str]:
+    """Body of a card: what the configurations and the columns are."""
+    unit = "m" if maps == "metres" else "0.1 mm, from -10 mm"
+    shown = [Column(name, obs_dtype(maps), meaning, unit) for name, meaning in _MEANING.items()]
+    return [
+        "| configuration | task |",
+        "|---|---|",
+        *(f"| `{task}` | {INSTRUCTIONS[task]} |" for task in tasks),
+        "",
+        "| column | type | unit | frame | meaning |",
+        "|---|---|---|---|---|",
+        *(f"| `{c.name}` | {c.type} | {c.unit} | {c.frame} | {c.meaning} |" for c in (*shown, *_COLUMNS)),
+    ]
+
+
 def _card(dataset: NewDataset) -> str:
     """The card. JSON strings are valid YAML."""
     manifest = dataset.release.manifest
@@ -105,19 +134,10 @@ def _card(dataset: NewDataset) -> str:
     lines = [
         "---",
         f"pretty_name: {json.dumps(manifest.title)}",
-        f"license: {manifest.license.lower()}",
+        f"license: {hub_licence(manifest.license)}",
         "task_categories:",
         "- robotics",
-        "configs:",
-    ]
-    for task in tasks:
-        lines += [f"- config_name: {task}", "  data_files:"]
-        here = {block.split for block in dataset.blocks if block.task == task}
-        for split in (split for split in SPLITS if split in here):
-            lines += [f"  - split: {split}", f"    path: {task}/{split}-round-*.parquet"]
-    unit = "m" if dataset.maps == "metres" else "0.1 mm, from -10 mm"
-    maps = [Column(name, obs_dtype(dataset.maps), meaning, unit) for name, meaning in _MEANING.items()]
-    lines += [
+        *config_lines(dataset.blocks),
         "---",
         "",
         f"# {manifest.title}",
@@ -132,13 +152,7 @@ def _card(dataset: NewDataset) -> str:
         f'steps = datasets.load_dataset("{manifest.name}", "{tasks[0]}", split="{dataset.blocks[0].split}")',
         "```",
         "",
-        "| configuration | task |",
-        "|---|---|",
-        *(f"| `{task}` | {INSTRUCTIONS[task]} |" for task in tasks),
-        "",
-        "| column | type | unit | frame | meaning |",
-        "|---|---|---|---|---|",
-        *(f"| `{c.name}` | {c.type} | {c.unit} | {c.frame} | {c.meaning} |" for c in (*maps, *_COLUMNS)),
+        *column_lines(tasks, dataset.maps),
         "",
         f"Please cite: {manifest.citation}",
         "",

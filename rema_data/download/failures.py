@@ -6,7 +6,7 @@ from http import HTTPStatus
 
 from rema_data.release.manifest import FileEntry
 
-__all__ = ["Faltered", "Refused", "Stopped", "Undelivered", "answered"]
+__all__ = ["Faltered", "Refused", "Stopped", "Undelivered", "answered", "retry_after"]
 
 _PASSING = {HTTPStatus.REQUEST_TIMEOUT, HTTPStatus.TOO_EARLY, HTTPStatus.TOO_MANY_REQUESTS}
 
@@ -41,11 +41,16 @@ class Stopped(Exception):
     """The download was interrupted."""
 
 
-def answered(status: int, reason: str, retry_after: str = "") -> Refused | Faltered:
-    """What a web server means by a status of 400 or more."""
+def retry_after(header: str) -> float:
+    """Seconds that a server asks to wait; 0 where it names none, or a date."""
+    return float(header) if header.isdecimal() else 0.0
+
+
+def answered(status: int, reason: str, wait: str = "") -> Refused | Faltered:
+    """What a web server means by a status of 400 or more; ``wait`` is its header ``Retry-After``."""
     if status == HTTPStatus.NOT_FOUND:
         return Refused("does not have it", absent=True)
     answer = f"answered {status} {reason}".strip()
     if status in _PASSING or status >= HTTPStatus.INTERNAL_SERVER_ERROR:
-        return Faltered(answer, float(retry_after) if retry_after.isdecimal() else 0.0)  # a date is not followed
+        return Faltered(answer, retry_after(wait))
     return Refused(answer)

@@ -56,8 +56,8 @@ def download(
         Part of it; everything by default.
     sources : sequence of str or path
         Folders of releases, or their URLs, that are asked first, in order: a folder, ``file://``, ``http(s)://``,
-        ``s3://`` or any other protocol of fsspec. After them come the folders that belong to this checkout or package,
-        then the mirrors that the manifest names.
+        ``hf://datasets/ORG/NAME[@REVISION]``, ``s3://`` or any other protocol of fsspec. After them come the folders
+        that belong to this checkout or package, then the mirrors that the manifest names.
     jobs : int, optional
         Files that are fetched at a time; 8 by default.
     offline : bool

@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+import re
 from urllib.parse import urlsplit
 
-__all__ = ["has_secret", "label"]
+__all__ = ["has_secret", "hub_address", "label"]
 
 _LOCAL = ("file", "local")
+_HUB = re.compile(
+    r"hf://datasets/(?P<organisation>\w[\w.-]*)/(?P<name>\w[\w.-]*)"
+    r"(@(?P<revision>refs/(pr|convert)/[\w.-]+|[\w%.-]+))?(?P<folder>(/[\w.-]+)*/?)",
+    re.ASCII,
+)
+_TOKEN = re.compile("hf_[A-Za-z0-9]{8}")
+"""How tokens of the hub begin: somebody may put one where it does not belong."""
+
+
+def hub_address(url: str) -> re.Match[str] | None:
+    """The parts of the URL of a data set on the Hugging Face Hub, or of a folder in it; None for other URLs."""
+    return None if _TOKEN.search(url) else _HUB.fullmatch(url)
 
 
 def label(url: str) -> str:
@@ -15,7 +28,7 @@ def label(url: str) -> str:
     Where an ``@`` does not belong to a parsed host, a password with other characters may reach anywhere: then only
     protocols and hosts are shown.
     """
-    if "://" not in url and "::" not in url:
+    if ("://" not in url and "::" not in url) or hub_address(url):
         return url
     links = url.split("::")
     try:
@@ -27,7 +40,9 @@ def label(url: str) -> str:
 
 def has_secret(url: str) -> bool:
     """Whether a URL may hold a password or a token: what libraries say about it is then not repeated."""
-    return ("://" in url or "::" in url) and url.partition("://")[0] not in _LOCAL and any(c in url for c in "@?#")
+    if url.partition("://")[0] in _LOCAL or hub_address(url):
+        return False
+    return ("://" in url or "::" in url) and any(c in url for c in "@?#")
 
 
 def _beyond_host(link: str) -> str:

@@ -1,7 +1,7 @@
 """Where files come from: folders of releases behind a path or a URL.
 
-HTTP servers are read with one streamed request a file, which starts at the byte where the last one stopped. Everything
-else is opened by fsspec and read in blocks from that byte on.
+HTTP servers, the Hugging Face Hub among them, are read with one streamed request a file, which starts at the byte where
+the last one stopped. Everything else is opened by fsspec and read in blocks from that byte on.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from urllib3.exceptions import HTTPError
 from urllib3.exceptions import TimeoutError as WebTimeoutError
 
 from rema_data.download.failures import Faltered, Refused, answered
+from rema_data.download.hub import HubFolder
 from rema_data.download.labels import has_secret, label
 from rema_data.download.web import WebFolder
 from rema_data.errors import InputError
@@ -33,11 +34,17 @@ _LONGEST_ANSWER = 200
 _TIMEOUTS = (TimeoutError, WebTimeoutError)
 
 
+def _web_folder(protocol: str, url: str) -> WebFolder | HubFolder | None:
+    if protocol == "hf":
+        return HubFolder(url)
+    return WebFolder(url) if protocol in ("http", "https") else None
+
+
 class Source:
     """A folder of releases: the file ``holder/path`` lies at ``url/holder/path``.
 
-    ``url`` is a folder, or anything that fsspec opens: ``file://``, ``http(s)://``, ``s3://``, ... ``label`` is the URL
-    without user, password and query; ``local`` tells a folder of this machine.
+    ``url`` is a folder, ``hf://datasets/ORG/NAME``, or anything that fsspec opens: ``file://``, ``http(s)://``,
+    ``s3://``, ... ``label`` is the URL without user, password and query; ``local`` tells a folder of this machine.
     """
 
     def __init__(self, url: str | os.PathLike[str]) -> None:
@@ -51,9 +58,9 @@ class Source:
         self.label = label(self.url)
         self._secret = has_secret(self.url)
         try:
-            self._web = WebFolder(self.url) if protocol in ("http", "https") else None
+            self._web = _web_folder(protocol, self.url)
         except ValueError as error:
-            raise self._unusable("it is not a URL") from error
+            raise self._unusable(str(error) if protocol == "hf" else "it is not a URL") from error
         self._lock = threading.Lock()
         self._opened: tuple[Any, str] | None = None
 
@@ -69,7 +76,9 @@ class Source:
                 self._web.check()
         except ImportError as error:
             hint = str(error)
-            if self.url.startswith(("s3://", "s3a://")):
+            if self.url.rpartition("::")[2].startswith("hf://"):
+                hint = install("rema[hf]")
+            elif self.url.startswith(("s3://", "s3a://")):
                 hint = install("rema[s3]")
             elif self.url.rpartition("::")[2].startswith(("http://", "https://")):
                 hint = install("fsspec[http]")
@@ -83,7 +92,7 @@ class Source:
             return
 
     def _unusable(self, why: str) -> InputError:
-        hint = "name a folder, or a URL that begins with file://, https://, s3:// or another fsspec protocol"
+        hint = "name a folder, or a URL that begins with file://, https://, hf://, s3:// or another fsspec protocol"
         if self._secret:
             hint += "; in credentials, write / as %2F, @ as %40, ? as %3F, # as %23 and : as %3A"
         return InputError(f"the source {self.label} cannot be used: {why}", hint=hint, source=self.label)
@@ -95,7 +104,8 @@ class Source:
     def places(self, location: str) -> tuple[str, ...]:
         """Where a file, ``holder/path``, may lie below the URL: a URL may be that of the release's own folder."""
         holder, _, path = location.partition("/")
-        own = self.url.rstrip("/").rpartition("/")[2] == holder
+        name = self._web.name if isinstance(self._web, HubFolder) else self.url.rstrip("/").rpartition("/")[2]
+        own = name == holder
         return (location, path) if own else (location,)
 
     @contextmanager
@@ -136,7 +146,7 @@ class Source:
             except (Refused, Faltered):
                 raise
             except _TIMEOUTS as error:
-                raise Refused("does not answer") from error
+                raise Refused(f"does not answer{self._advice}") from error
             except Exception as error:
                 raise self._failure(error) from error
             yield found
@@ -186,7 +196,11 @@ class Source:
             return answered(status, getattr(error, "message", ""))
         if isinstance(error, _TIMEOUTS):
             return Faltered("sends nothing more")
-        return Faltered(self._words(error))
+        return Faltered(f"{self._words(error)}{self._advice}")
+
+    @property
+    def _advice(self) -> str:
+        return self._web.advice if isinstance(self._web, HubFolder) else ""
 
     def _words(self, error: Exception) -> str:
         """The cause of an error in a line."""

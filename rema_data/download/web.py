@@ -23,6 +23,9 @@ from rema_data.download.labels import label
 
 __all__ = ["WebFolder"]
 
+Response = urllib3.BaseHTTPResponse
+Failure = Refused | Faltered
+
 _CHUNK = 1 << 19
 _TIMEOUT = urllib3.Timeout(connect=10.0, read=30.0)
 """A server that sends nothing for so long has dropped the connection."""
@@ -35,10 +38,15 @@ _RANGE = re.compile(r"bytes (\d+)-\d+/(\d+|\*)")
 
 
 class WebFolder:
-    """A folder of releases on a web server, which alone gets user and password of the URL. Threads share it."""
+    """A folder of releases on a web server, which alone gets user and password of the URL. Threads share it.
 
-    def __init__(self, url: str) -> None:
+    ``authorization`` goes to that server in their place; ``refusal`` says what its answers from 400 on mean.
+    """
+
+    def __init__(self, url: str, authorization: str = "", refusal: Callable[[Response], Failure] | None = None) -> None:
         self._url = urlsplit(url)
+        self._authorization = authorization
+        self._refusal = refusal or _refusal
         self._managers: dict[str, urllib3.PoolManager] = {}
         self._lock = threading.Lock()
 
@@ -57,6 +65,8 @@ class WebFolder:
         self.check()
         response = self._ask(location, start)
         try:
+            if response.status >= HTTPStatus.BAD_REQUEST:
+                raise self._refusal(response)
             first = _first_byte(response, location, start, size)
             encoding = _encoding(response)
             # Some servers send what they store compressed, though they are asked not to.
@@ -148,6 +158,8 @@ class WebFolder:
     def _login(self, parts: SplitResult, header: str) -> dict[str, str]:
         """User and password for a URL: its own, those of the source's URL (same server), or those of ``.netrc``."""
         if parts.username is None and (parts.scheme, _netloc(parts)) == (self._url.scheme, _netloc(self._url)):
+            if self._authorization:
+                return {header: self._authorization}
             parts = self._url
         found = None if self._netrc is None else self._netrc.authenticators(parts.hostname or "")
         if parts.username is not None:
@@ -157,6 +169,10 @@ class WebFolder:
         else:
             return {}
         return {header: f"Basic {base64.b64encode(words.encode()).decode()}"}
+
+
+def _refusal(response: Response) -> Failure:
+    return answered(response.status, response.reason or "", response.headers.get("Retry-After", ""))
 
 
 def _cause(error: BaseException) -> str:
@@ -180,8 +196,6 @@ def _encoding(response: urllib3.BaseHTTPResponse) -> str:
 def _first_byte(response: urllib3.BaseHTTPResponse, location: str, start: int, size: int) -> int:
     """Offset at which a response begins; Refused or Faltered where it cannot be the file."""
     status, headers = response.status, response.headers
-    if status >= HTTPStatus.BAD_REQUEST:
-        raise answered(status, response.reason or "", headers.get("Retry-After", ""))
     if status == HTTPStatus.PARTIAL_CONTENT:
         match = _RANGE.match(headers.get("Content-Range", ""))
         if match is None or int(match[1]) != start:

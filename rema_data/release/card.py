@@ -6,6 +6,7 @@ The card depends on the manifest only: sealing the same data twice gives the sam
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 from rema_data.release.croissant import croissant
@@ -14,7 +15,7 @@ from rema_data.release.licences import licence_notice, licence_url
 from rema_data.release.manifest import Manifest
 from rema_data.storage import write_atomic
 
-__all__ = ["CARD", "write_card"]
+__all__ = ["CARD", "citation_file", "write_card"]
 
 CARD = ("CITATION.cff", "DATASHEET.md", "LICENSE", "croissant.json")
 """Files of the card, in the release's own folder."""
@@ -46,7 +47,6 @@ def write_card(folder: Path, manifest: Manifest) -> None:
 
 
 def _citation(manifest: Manifest) -> str:
-    """Citation File Format 1.2.0. JSON strings are valid YAML."""
     dated = {"date-released": manifest.published} if manifest.published else {}
     fields = {
         "message": f"If you use this release, please cite it: {manifest.citation}",
@@ -58,6 +58,10 @@ def _citation(manifest: Manifest) -> str:
         "license-url": licence_url(manifest.license),
         "abstract": manifest.description,
     }
+    return citation_file(fields, f"The authors of {manifest.name}")
+
+
+def citation_file(fields: Mapping[str, str], authors: str) -> str:
+    """Citation File Format 1.2.0, with the paper as a reference. JSON strings are valid YAML."""
     lines = [f"{name}: {json.dumps(value, ensure_ascii=False)}" for name, value in fields.items()]
-    authors = json.dumps(f"The authors of {manifest.name}")
-    return "\n".join(["cff-version: 1.2.0", *lines, "authors:", f"  - name: {authors}", _PAPER])
+    return "\n".join(["cff-version: 1.2.0", *lines, "authors:", f"  - name: {json.dumps(authors)}", _PAPER])

@@ -86,14 +86,15 @@ _MAPS = (
 )
 
 
-def croissant(manifest: Manifest) -> dict[str, Any]:
+def croissant(manifest: Manifest, beside: bool = False) -> dict[str, Any]:
     """Croissant description of a release as a JSON-LD object; ``manifest`` is a draft that lists the data files.
 
     Files of blocks that lie in the folder of an earlier release are listed too; the records are those of the release's
-    own folder.
+    own folder. ``beside``: the description will lie beside the folders of the releases instead, and its records are
+    those of all of them.
     """
     dated = {"datePublished": manifest.published} if manifest.published else {}
-    based = {} if manifest.parent is None else {"isBasedOn": f"../{manifest.parent.name}/croissant.json"}
+    based = {} if manifest.parent is None or beside else {"isBasedOn": f"../{manifest.parent.name}/croissant.json"}
     return {
         "@context": _CONTEXT,
         "@type": "sc:Dataset",
@@ -110,7 +111,7 @@ def croissant(manifest: Manifest) -> dict[str, Any]:
         "keywords": ["robot learning", "manipulation", "tool use", "height maps", "offline dataset"],
         "isLiveDataset": False,
         **_RESPONSIBLE,
-        "distribution": [*_tables(manifest), *_file_sets()],
+        "distribution": [*_tables(manifest, beside), *_file_sets("*/" if beside else "")],
         "recordSet": [_record_set(*table) for table in _TABLES],
     }
 
@@ -121,14 +122,14 @@ def _version(name: str) -> str:
     return f"{int(found[1]) if found else 1}.0.0"
 
 
-def _tables(manifest: Manifest) -> Iterator[dict[str, Any]]:
+def _tables(manifest: Manifest, beside: bool) -> Iterator[dict[str, Any]]:
     for file in manifest.files:
         if file.path.endswith(".parquet"):
             yield {
                 "@type": "cr:FileObject",
                 "@id": file.path,
                 "name": file.path,
-                "contentUrl": _url(file, manifest),
+                "contentUrl": file.location if beside else _url(file, manifest),
                 "contentSize": f"{file.bytes} B",
                 "encodingFormat": _PARQUET,
                 "sha256": file.sha256,
@@ -140,12 +141,13 @@ def _url(file: FileEntry, manifest: Manifest) -> str:
     return file.path if file.holder == manifest.name else f"../{file.location}"
 
 
-def _file_sets() -> Iterator[dict[str, Any]]:
+def _file_sets(within: str) -> Iterator[dict[str, Any]]:
     for name, file, _, _, _ in _TABLES:
-        yield _file_set(f"{name}-tables", f"{file} of every block", _PARQUET, f"round-*/*/*/{file}")
+        yield _file_set(f"{name}-tables", f"{file} of every block", _PARQUET, f"{within}round-*/*/*/{file}")
     for name, meaning in _MAPS:
-        yield _file_set(f"{name}-shards", f"Zarr v3 shards of {meaning}", _ZARR, f"round-*/*/*/maps.zarr/{name}/c/**")
-    metadata = ("round-*/*/*/maps.zarr/zarr.json", "round-*/*/*/maps.zarr/*/zarr.json")
+        shards = f"{within}round-*/*/*/maps.zarr/{name}/c/**"
+        yield _file_set(f"{name}-shards", f"Zarr v3 shards of {meaning}", _ZARR, shards)
+    metadata = (f"{within}round-*/*/*/maps.zarr/zarr.json", f"{within}round-*/*/*/maps.zarr/*/zarr.json")
     yield _file_set("zarr-metadata", "Zarr v3 metadata of the maps", "application/json", *metadata)
 
 

@@ -146,14 +146,14 @@ def find_release(name_or_path: str | os.PathLike[str] | None = None) -> ReleaseF
                 f"{text!r} is neither a published release nor a folder",
                 hint=f"published releases: {', '.join(sorted(published()))}",
             )
-        path = folder / MANIFEST
+        path = _manifest_in(folder)
         if not path.is_file():
             raise MissingFileError(
                 f"{folder} has no {MANIFEST}: it is not the folder of a sealed release",
-                hint="name the folder that `rema collect` or `rema download` made",
+                hint="name the folder that `rema collect`, `rema download` or `rema publish` made",
                 path=str(path),
             )
-        manifest, place = _parse_beside_data(path), folder.resolve()
+        manifest, place = _parse_beside_data(path), path.parent.resolve()
         return ReleaseFolder(manifest, place.parent, None if place.name == manifest.name else place.name)
     manifest = load_published(text)
     found = [ReleaseFolder(manifest, root) for root in (downloads_folder(), *local_sources())]
@@ -161,6 +161,12 @@ def find_release(name_or_path: str | os.PathLike[str] | None = None) -> ReleaseF
     if not best.blocks():
         raise MissingFileError(f"release {text} is not on this machine", hint=f"fetch it: rema download {text}")
     return best
+
+
+def _manifest_in(folder: Path) -> Path:
+    """Its own manifest, or that of the only release in it: `rema publish` writes a folder of releases."""
+    inside = [] if (folder / MANIFEST).exists() else sorted(folder.glob(f"*/{MANIFEST}"))
+    return inside[0] if len(inside) == 1 else folder / MANIFEST
 
 
 def _parse_beside_data(path: Path) -> Manifest:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rema_data.release.manifest import Manifest
 
-__all__ = ["KNOWN_LICENCES", "licence_notice", "licence_url"]
+__all__ = ["KNOWN_LICENCES", "hub_licence", "licence_notice", "licence_url", "weights_notice"]
 
 KNOWN_LICENCES = (
     "CC-BY-4.0",
@@ -30,6 +30,7 @@ _CREATIVE_COMMONS = {
     "CC-BY-4.0": ("Creative Commons Attribution 4.0 International", "https://creativecommons.org/licenses/by/4.0/"),
     "CC0-1.0": ("Creative Commons Zero 1.0 Universal", "https://creativecommons.org/publicdomain/zero/1.0/"),
 }
+_ON_HUB = {"PDDL-1.0": "pddl", "ODC-By-1.0": "odc-by", "ODbL-1.0": "odbl"}
 _TERMS = {
     "CC-BY-4.0": "You may copy, share and adapt it for any purpose, also commercially, if you name its source, link to "
     "the licence\nand say what you changed.",
@@ -37,11 +38,24 @@ _TERMS = {
 }
 
 
+def hub_licence(identifier: str) -> str:
+    """What the Hugging Face Hub calls a licence."""
+    return _ON_HUB.get(identifier, identifier.lower())
+
+
 def licence_url(identifier: str) -> str:
     """Where the text of a licence is."""
     if identifier in _CREATIVE_COMMONS:
         return _CREATIVE_COMMONS[identifier][1]
     return f"https://spdx.org/licenses/{identifier}.html"
+
+
+def weights_notice(title: str, identifier: str) -> str:
+    """The file LICENSE of networks."""
+    return (
+        f"{title}\n\nThese weights are licensed under {identifier}.\nSPDX-License-Identifier: {identifier}\n\n"
+        f"Full text: {licence_url(identifier)}\n"
+    )
 
 
 def licence_notice(manifest: Manifest) -> str:

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -89,6 +90,12 @@ def test_links_of_the_docs_lead_somewhere() -> None:
     for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
         for link in re.findall(r"\]\((?!https?://|#)([^)#]+)", page.read_text(encoding="utf-8")):
             assert (page.parent / link).exists(), f"{page.name} links to {link}"
+
+
+def test_the_sdist_has_what_the_wheel_is_made_of() -> None:
+    build = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["build"]["targets"]
+    included = {path.strip("/") for path in build["sdist"]["include"]}
+    assert {*build["wheel"]["packages"], *build["wheel"]["force-include"], "hatch_build.py", "LICENSE"} <= included
 
 
 def test_the_wheel_carries_everything(tmp_path: Path) -> None:
