@@ -1,4 +1,4 @@
-"""Sphinx configuration of the documentation site: ``nox -s docs`` builds it into ``build/docs``."""
+"""Sphinx configuration of the documentation site: ``nox -s docs`` builds it into ``build/docs/html``."""
 
 from __future__ import annotations
 
