@@ -19,6 +19,7 @@ author = "The rema authors"
 copyright = f"{author}; code: MIT, data: CC-BY-4.0"
 release = version = metadata.version("rema")
 language = "en"
+smartquotes = False  # they make a dash of --option
 
 extensions = [
     "myst_nb",

@@ -50,7 +50,9 @@ def test_every_name_in_the_reference_exists(page: str) -> None:
 def test_every_page_is_in_the_navigation() -> None:
     parts = ("index", "tutorials", "guides", "reference", "explanation")
     texts = "\n".join((DOCS / f"{part}.md").read_text(encoding="utf-8") for part in parts)
-    listed = {line for block in re.findall(r"```\{toctree\}\n(.*?)```", texts, re.DOTALL) for line in block.splitlines()}
+    listed = {
+        line for block in re.findall(r"```\{toctree\}\n(.*?)```", texts, re.DOTALL) for line in block.splitlines()
+    }
     pages = {path.relative_to(DOCS).with_suffix("").as_posix() for path in DOCS.rglob("*.md")}
     assert {page for page in pages if not page.startswith("decisions/0")} - {"index"} <= listed
 
