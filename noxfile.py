@@ -53,10 +53,17 @@ def benchmarks(session: nox.Session) -> None:
 
 
 @nox.session
-def docs(session: nox.Session) -> None:
+def contracts(session: nox.Session) -> None:
     """The README, the pages in docs/ and the docstrings against the code."""
     session.install(".[test]")
     session.run("pytest", "tests/contracts", *session.posargs)
+
+
+@nox.session
+def docs(session: nox.Session) -> None:
+    """The documentation site in build/docs, with its tutorials run and every warning an error."""
+    session.install(".[docs]")
+    session.run("python", "-m", "sphinx", "-M", "html", "docs", "build/docs", "-W", "--keep-going", *session.posargs)
 
 
 @nox.session

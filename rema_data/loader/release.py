@@ -130,6 +130,16 @@ class Release:
             A block of the selection is not on this machine; the command that fetches it is in the message.
         StorageError, IntegrityError
             As for ``cache``; the rows of the subset are not those of its manifest.
+
+        Examples
+        --------
+        >>> import rema_data
+        >>> release = rema_data.load("rema-sample")
+        >>> picks = release.steps(tasks=["grasp_push"], split="train", which="picks")
+        >>> set(picks.table["step"]), set(picks.table["skill"])
+        ({0}, {'grasp'})
+        >>> picks[:2].float().end_effector.shape
+        torch.Size([2, 4, 112, 112])
         """
         if which not in ("last", "all", "picks"):
             raise InputError(f"which={which!r} names no steps", hint="use which='last', 'all' or 'picks'")
