@@ -1,7 +1,8 @@
 """The learned policies of examples/, from the sample to a score, by the commands that their docstrings show.
 
-The sample has 100 random and 100 scripted attempts of a task to learn from, and random actions grasp one object in
-twenty: half of the scenarios are far out of reach of chance, and within reach of what was trained for seconds.
+The sample has 100 random and 100 scripted attempts of a task to learn from. Random actions succeed in one scenario of
+twenty (grasp) and in one of six (push): more than half is out of reach of chance, and in reach of seconds of training.
+The benchmark of the examples scores both policies in both tasks.
 """
 
 from __future__ import annotations
@@ -26,14 +27,13 @@ class Learned(NamedTuple):
     checkpoint: str
     package: str
 
-    def train(self, folder: Path) -> str:
-        """Train in a folder; what was printed."""
+    def train(self, folder: Path) -> None:
+        """Train in a folder."""
         pytest.importorskip(self.package)
         script, *words = self.training
         done = python(example(script), "--release", "rema-sample", *words, "--output", self.checkpoint, cwd=folder)
         assert done.returncode == 0, done.stderr
         assert done.stdout.endswith(f"{self.checkpoint}\n")
-        return done.stdout
 
 
 TORCH = Learned("torch_policy", ("train", "--batches", "300"), "weights.safetensors", "torch")
@@ -41,17 +41,16 @@ SKLEARN = Learned("sklearn_policy", ("sklearn_policy", "--trees", "50"), "trees.
 both = pytest.mark.parametrize("learned", [TORCH, SKLEARN], ids=lambda learned: learned.policy)
 
 
-@both
-def test_trained_on_the_sample_it_is_far_better_than_random(learned: Learned, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("learned", "task"), [(TORCH, "grasp"), (SKLEARN, "push")], ids=["torch", "sklearn"])
+def test_trained_on_the_sample_it_is_far_better_than_random(learned: Learned, task: str, tmp_path: Path) -> None:
     learned.train(tmp_path)
     words = ["--checkpoint", learned.checkpoint, "--split", "val", "--episodes", str(EPISODES), "--workers", "1"]
-    for task in ("grasp", "push"):
-        done = rema("evaluate", example(learned.policy), "--task", task, *words, "--output", task, cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
-        summary = json.loads((tmp_path / task / "summary.json").read_text())
-        assert summary["policy_errors"] == 0 and summary["eligible"] == EPISODES
-        assert re.search(rf"successes +{summary['successes']} of {EPISODES} eligible episodes", done.stdout)
-        assert summary["successes"] >= EPISODES // 2
+    done = rema("evaluate", example(learned.policy), "--task", task, *words, "--output", "run", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["policy_errors"] == 0 and summary["eligible"] == EPISODES
+    assert re.search(rf"successes +{summary['successes']} of {EPISODES} eligible episodes", done.stdout)
+    assert summary["successes"] > EPISODES // 2
 
 
 @both
