@@ -8,6 +8,8 @@ import sys
 from importlib import import_module, metadata
 from pathlib import Path
 
+from myst_nb.core import render
+from nbformat import NotebookNode
 from sphinx.application import Sphinx
 
 import evaluator
@@ -115,6 +117,22 @@ def _place_links(app: Sphinx, docname: str, source: list[str]) -> None:
     source[0] = re.sub(r"\]\((?!\w+:|#)([^)#\s]+)(#[^)\s]*)?\)", placed, source[0])
 
 
+def _whole_streams(outputs: list[NotebookNode]) -> list[NotebookNode]:
+    """One text a stream: IPython cuts what %%bash prints every 100 bytes, where MyST-NB would break the line."""
+    whole: list[NotebookNode] = []
+    streams: dict[str, NotebookNode] = {}
+    for output in outputs:
+        if output["output_type"] != "stream":
+            whole.append(output)
+        elif output["name"] in streams:
+            streams[output["name"]]["text"] += output["text"]
+        else:
+            streams[output["name"]] = output
+            whole.append(output)
+    return whole
+
+
 def setup(app: Sphinx) -> None:
     """Hook into the build."""
     app.connect("source-read", _place_links)
+    render.coalesce_streams = _whole_streams
