@@ -34,7 +34,9 @@ class StepArrays(NamedTuple):
     index: Array  # type: ignore[assignment]  # int64 (N,): rows in the dataset's table
 
     def float(self) -> FloatArrays:
-        """The same steps in metres."""
+        """The same steps in metres; of a single step without the first axis, too."""
+        if np.ndim(self.action) == 0:
+            return FloatArrays(*(column[0] for column in StepArrays(*(np.asarray(one)[None] for one in self)).float()))
         maps = to_metres(lambda part: (self.scene[part], self.ee_depth[part], self.ee_mask[part]), len(self.scene))
         return FloatArrays(*maps, self.action, self.success, self.index)
 

@@ -95,6 +95,12 @@ def test_metres_are_those_of_the_float_delivery(release: rema_data.Release) -> N
     assert metres.float() is metres
 
 
+def test_a_single_step_in_metres_is_that_of_many(release: rema_data.Release) -> None:
+    arrays = release.steps(which="all").arrays
+    one, many = arrays[3].float(), arrays[:5].float()
+    assert all(np.array_equal(a, b[3]) for a, b in zip(one, many, strict=True))
+
+
 def test_arrays_are_copies_that_may_be_changed(dataset: StepDataset) -> None:
     batch = dataset.arrays[:2]
     before = batch.scene.copy()
