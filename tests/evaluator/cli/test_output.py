@@ -49,6 +49,10 @@ VERB_CASES: dict[str, tuple[str, tuple[str, ...]]] = {
     "doctor": ("--seconds 0", ("REMA_HOME is {here}/home", "{here}/home/releases/fetched")),
     "preview": ("--release {here}/mirror/tiny --count 1 --table --output {new}.png", ("{new}.png: 1 steps",)),
     "export": ("{here}/mirror/tiny --output {new}", ("{new}/grasp.hdf5", "{new}/push.hdf5")),
+    "publish": (
+        "{here}/mirror/tiny --to {new} --no-viewer",
+        ("{new}: ", "to upload it: hf upload ORG/NAME {new} . --repo-type dataset"),
+    ),
     "import": ("{here}/exported --output {new}", ("{new}/tiny: ",)),
     "collect": ("{here}/plan.toml --output {new} --engine inline", ("{new}/planned is sealed",)),
     "train": ("--release {here}/mirror/tiny --tasks push --primitive push --output {new}", ("{new}/push.safetensors",)),
@@ -83,6 +87,7 @@ ERROR_CASES: dict[str, tuple[str, ...]] = {
     "doctor": (),
     "preview": ("--release {gone}", "--task grasp --scenario 0 --policy {gone}.py"),
     "export": ("{gone} --output {new}",),
+    "publish": ("{gone} --to {new}",),
     "import": ("{gone}",),
     "collect": ("{gone}",),
     "train": ("--release {gone} --tasks push --primitive push --output {new}",),

@@ -4,13 +4,12 @@ import pytest
 
 from evaluator.run.plan import scenario_list
 from evaluator.scenarios import load_list, versions
-from evaluator.scenarios.lists import FRESH
 from rema_data.errors import RunMismatchError
 
 
 def test_a_run_on_an_earlier_list_finds_it() -> None:
     """The lists of grasp_push differ between the versions, and both are in the repository."""
-    for version in (one for one in versions() if not one.startswith(FRESH)):  # what this user has drawn stays aside
+    for version in ("v1", "v2"):
         listed = load_list("grasp_push", "val", version)
         identity = {"task": "grasp_push", "split": "val", "scenarios_hash": listed.sha256}
         assert scenario_list({"identity": identity, "episodes": 2000}).version == version
