@@ -25,6 +25,7 @@ SECTIONS = {
     "report_page": "The report of a run",
     "view": "Browsing a release",
     "isolation": "Isolation of the policy",
+    "verify_entry": "Verifying an entry of the leaderboard",
     "hostile": "Hostile policies",
     "memory": "Memory",
     "determinism": "Determinism of the world",

@@ -74,6 +74,7 @@ python benchmarks/infer.py --checkpoint releases/checkpoints/rema-v0/joint --run
 python benchmarks/half_precision.py --checkpoint releases/checkpoints/rema-v0/joint --scenarios 250 --json $results/half_precision.json
 
 python benchmarks/isolation.py --run runs/random-grasp-conditional --json $results/isolation.json
+python benchmarks/verify_entry.py --check --json $results/verify_entry.json
 python benchmarks/hostile.py --json $results/hostile.json
 python benchmarks/kills.py --json $results/kills.json
 python benchmarks/forgeries.py --json $results/forgeries.json
