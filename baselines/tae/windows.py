@@ -19,7 +19,7 @@ from rema_data.grid import EE_PIXELS
 __all__ = ["WindowedEncoder"]
 
 _STEP = 16
-"""Sides of windows in the map are multiples of so many pixels: a convolution is prepared anew for every size."""
+"""Sides of windows in the map are multiples of so many pixels: torch prepares a convolution for every new size."""
 _MOST = 64
 """The largest side of a window in the map: beyond it the whole map is as soon done."""
 

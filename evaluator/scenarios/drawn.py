@@ -29,25 +29,18 @@ def keep(folder: Path, name: str, drawn: list[Drawn]) -> None:
     own = [dataclasses.replace(one.scenario, index=n) for n, one in enumerate(drawn)]
     payload = encode_list(own)
     write_atomic(folder / f"{name}.parquet", payload)
-    note = {
-        "sha256": hashlib.sha256(payload).hexdigest(),
-        "index": [one.scenario.index for one in drawn],
-        "redrawn": [one.redrawn for one in drawn],
-    }
+    note = {"sha256": hashlib.sha256(payload).hexdigest(), "redrawn": [one.redrawn for one in drawn]}
     write_atomic(folder / f"{name}.json", json.dumps(note) + "\n")
 
 
 def kept(folder: Path, name: str, task: str, split: str) -> list[Drawn] | None:
-    """A part that was written before; None where it is missing or damaged."""
+    """A part that was written before, its scenarios numbered from 0; None where it is missing or damaged."""
     try:
         note = json.loads((folder / f"{name}.json").read_bytes())
         payload = (folder / f"{name}.parquet").read_bytes()
         if hashlib.sha256(payload).hexdigest() != note["sha256"]:
             return None
-        scenarios = decode_list(payload, len(note["index"]), task, split)
-        return [
-            Drawn(dataclasses.replace(scenario, index=index), redrawn)
-            for scenario, index, redrawn in zip(scenarios, note["index"], note["redrawn"], strict=True)
-        ]
+        scenarios = decode_list(payload, len(note["redrawn"]), task, split)
+        return [Drawn(*pair) for pair in zip(scenarios, note["redrawn"], strict=True)]
     except (OSError, ValueError, KeyError, TypeError):
         return None
