@@ -26,10 +26,10 @@ from rema_data.convert.base import Maps
 from rema_data.errors import InputError, IntegrityError, MissingFileError, RunMismatchError
 from rema_data.interrupts import check
 from rema_data.json_files import bounded_file, read_json
-from rema_data.leftovers import temporary_folder
+from rema_data.new_folder import new_folder, synced_files
 from rema_data.release.manifest import Manifest, parse_manifest
 from rema_data.repair import upgrade
-from rema_data.storage import file_sha256, storage_errors, sync_file, sync_folder, write_atomic
+from rema_data.storage import file_sha256, write_atomic
 from rema_data.store.columns import check_version
 from rema_data.store.keys import BlockKey
 from rema_data.validation import plain, record, validated
@@ -120,25 +120,16 @@ def sealed(path: Path, header: Header, manifest: Manifest, card: dict[str, bytes
 
     Raises StorageError where the disk is full or may not be written; ``path`` is then not there.
     """
-    with storage_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with temporary_folder(f".{path.name}.exporting-", path.parent) as temporary:
-            folder = temporary / path.name
-            folder.mkdir()
-            yield folder
-            write_atomic(folder / _MANIFEST, manifest.to_bytes())
-            for name, data in card.items():
-                write_atomic(folder / _CARD / name, data)
-            files = []
-            for file in sorted(item for item in folder.rglob("*") if item.is_file()):
-                check()
-                sync_file(file)
-                sync_folder(file.parent)
-                files.append(_File(file.relative_to(folder).as_posix(), file.stat().st_size, file_sha256(file)))
-            content = plain(_Seal(_KIND, header, tuple(files)))
-            write_atomic(folder / _SEAL, json.dumps(content, indent=1) + "\n")
-            folder.replace(path)
-            sync_folder(path.parent)
+    with new_folder(path) as folder:
+        yield folder
+        write_atomic(folder / _MANIFEST, manifest.to_bytes())
+        for name, data in card.items():
+            write_atomic(folder / _CARD / name, data)
+        files = tuple(
+            _File(file.relative_to(folder).as_posix(), file.stat().st_size, sha256)
+            for file, sha256 in synced_files(folder)
+        )
+        write_atomic(folder / _SEAL, json.dumps(plain(_Seal(_KIND, header, files)), indent=1) + "\n")
 
 
 def is_sealed(path: Path, header: Header) -> SealedFolder | None:

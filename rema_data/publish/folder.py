@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rema_data.errors import InputError, RunMismatchError
-from rema_data.interrupts import check
-from rema_data.leftovers import temporary_folder
-from rema_data.storage import absolute, file_sha256, storage_errors, sync_file, sync_folder, write_atomic
+from rema_data.new_folder import new_folder, synced_files
+from rema_data.storage import absolute, storage_errors, write_atomic
 
 __all__ = ["CHECKSUMS", "Published", "check_repository", "publication", "whole_folder"]
 
@@ -53,21 +52,15 @@ def whole_folder(path: Path, option: str = "--to") -> Iterator[Path]:
     """
     path = absolute(path)
     with storage_errors(path):
-        if path.exists() and (not path.is_dir() or any(path.iterdir())):
-            raise RunMismatchError(
-                f"{path} is there already: this is written into a new folder",
-                hint=f"choose another folder with {option}, or move that one away",
-                path=str(path),
-            )
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with temporary_folder(f".{path.name}.publishing-", path.parent) as temporary:
-            folder = temporary / path.name
-            folder.mkdir()
-            yield folder
-            if path.exists():
-                path.rmdir()
-            folder.replace(path)
-            sync_folder(path.parent)
+        taken = path.exists() and (not path.is_dir() or any(path.iterdir()))
+    if taken:
+        raise RunMismatchError(
+            f"{path} is there already: this is written into a new folder",
+            hint=f"choose another folder with {option}, or move that one away",
+            path=str(path),
+        )
+    with new_folder(path) as folder:
+        yield folder
 
 
 @contextmanager
@@ -76,10 +69,5 @@ def publication(path: Path) -> Iterator[Path]:
     with whole_folder(path) as folder:
         yield folder
         write_atomic(folder / ".gitattributes", _ATTRIBUTES)
-        lines = []
-        for file in sorted(item for item in folder.rglob("*") if item.is_file()):
-            check()
-            sync_file(file)
-            sync_folder(file.parent)
-            lines.append(f"{file_sha256(file)}  {file.relative_to(folder).as_posix()}\n")
+        lines = [f"{sha256}  {file.relative_to(folder).as_posix()}\n" for file, sha256 in synced_files(folder)]
         write_atomic(folder / CHECKSUMS, "".join(lines))
