@@ -133,7 +133,7 @@ def write_lists(
             for item in picked or generate_list(task, split, count, pool):
                 drawn.append(item)
                 sink.advance(1)
-            write_named(manifest, version, drawn, entry, **origin)
+            write_named(manifest, version, drawn, entry, f"{ROOT_SEED}/{split}", **origin)
     return manifest
 
 
@@ -150,7 +150,7 @@ def named_list(manifest: Path, task: str, split: str) -> dict[str, Any] | None:
 
 
 def write_named(
-    manifest: Path, version: str, drawn: Sequence[Drawn], named: dict[str, Any] | None, **origin: Any
+    manifest: Path, version: str, drawn: Sequence[Drawn], named: dict[str, Any] | None, seed_domain: str, **origin: Any
 ) -> None:
     """Write a list and name it in the manifest, whose entry for it was ``named`` so far.
 
@@ -165,7 +165,7 @@ def write_named(
             hint=f"{restore(file)}; or choose another VERSION",
             path=str(file),
         )
-    enter_list(manifest, version, drawn, **{"seed_domain": f"{ROOT_SEED}/{split}"} | origin)
+    enter_list(manifest, version, drawn, seed_domain, **origin)
 
 
 def enter_list(manifest: Path, version: str, drawn: Sequence[Drawn], seed_domain: str, **origin: Any) -> None:

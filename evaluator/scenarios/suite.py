@@ -157,7 +157,7 @@ def draw_suite(
                 assert one.scenario.variation is not None
                 again[f"{one.scenario.variation.axis} {one.scenario.variation.level}"] += one.redrawn
             domain = f"{ROOT_SEED}/{split}"
-            write_named(manifest, version, ordered, entry, seed_domain=domain, redrawn_by_cell=dict(again))
+            write_named(manifest, version, ordered, entry, domain, redrawn_by_cell=dict(again))
             shutil.rmtree(work, ignore_errors=True)
     return manifest
 

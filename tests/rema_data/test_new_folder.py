@@ -24,9 +24,13 @@ def test_it_appears_when_all_of_it_is_written(tmp_path: Path) -> None:
 
 
 def test_an_error_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(RuntimeError), new_folder(tmp_path / "made") as folder:
-        (folder / "a").write_bytes(b"1")
-        raise RuntimeError
+    def fail() -> None:
+        with new_folder(tmp_path / "made") as folder:
+            (folder / "a").write_bytes(b"1")
+            raise RuntimeError("stopped")
+
+    with pytest.raises(RuntimeError, match="stopped"):
+        fail()
     assert not list(tmp_path.iterdir())
 
 
