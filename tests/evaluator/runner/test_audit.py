@@ -133,7 +133,8 @@ def test_the_observations_have_other_companions(fake_home: Path, batch_size: int
     assert len(again[0]) not in (batch_size, 0)
     for batch in again:
         assert len({home[scene] for scene in batch}) > 1
-        assert [home[scene] for scene in batch] != sorted(home[scene] for scene in batch)
+    order = [home[scene] for batch in again for scene in batch]  # of all: the last batch may be in order by chance
+    assert order != sorted(order)
 
 
 def test_an_interrupted_audit_goes_on_where_it_stopped(fake_home: Path) -> None:
