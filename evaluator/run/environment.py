@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from evaluator.sim.bullet import bullet_version
+from rema_data.commands import run_command
 
 __all__ = ["code_commit", "environment", "processor_name", "source_digest"]
 
@@ -79,10 +80,9 @@ def code_commit() -> dict[str, Any]:
 
 def _git(root: Path, *arguments: str) -> str:
     # Without optional locks: looking must not write into the checkout.
-    done = subprocess.run(
-        ["git", "--no-optional-locks", *arguments], cwd=root, capture_output=True, text=True, timeout=10, check=True
-    )
-    return done.stdout.strip()
+    done = run_command(["git", "--no-optional-locks", *arguments], root, timeout=10)
+    done.check_returncode()
+    return done.stdout.decode().strip()
 
 
 def source_digest(*names: str) -> str:

@@ -7,10 +7,11 @@ limited, so a busy machine changes nothing; what the library refuses with an err
 from __future__ import annotations
 
 import contextlib
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
+
+from rema_data.commands import run_command
 
 __all__ = ["survives"]
 
@@ -22,8 +23,7 @@ def survives(path: Path) -> bool:
     """Whether the library comes to an end with all names, attributes and addresses of a file."""
     seconds = _SECONDS + path.stat().st_size // _BYTES_A_SECOND
     command = [sys.executable, "-m", "rema_data.convert.hdf5_probe", str(path), str(seconds)]
-    done = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    return done.returncode >= 0  # negative: ended by a signal
+    return run_command(command).returncode >= 0  # negative: ended by a signal
 
 
 def _look(name: str, item: Any) -> None:

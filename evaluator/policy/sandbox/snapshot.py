@@ -23,6 +23,7 @@ from evaluator.policy import imports
 from evaluator.policy.loading import PolicySpec, check_checkpoint
 from evaluator.policy.sandbox.allowlist import packages_folder
 from evaluator.policy.sandbox.sources import Sources, checkpoint_sources, code_sources
+from rema_data.commands import run_command
 from rema_data.errors import InputError, MissingFileError, StorageError
 from rema_data.storage import storage_errors
 
@@ -128,7 +129,8 @@ def own_modules(file: Path) -> list[Path]:
     """
     command = [sys.executable, "-I", "-S", str(Path(imports.__file__).resolve()), str(file)]
     try:
-        done = subprocess.run(command, capture_output=True, timeout=_PARSE_S, check=True)
+        done = run_command(command, timeout=_PARSE_S)
+        done.check_returncode()
         return [Path(name) for name in json.loads(done.stdout)]
     except (subprocess.SubprocessError, ValueError) as error:
         raise InputError(
