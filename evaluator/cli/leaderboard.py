@@ -32,7 +32,9 @@ __all__ = ["leaderboard"]
 @click.option("--published/--no-published", default=True, help="The paper's rows too.  [default: yes]")
 @click.option("--verify", is_flag=True, help="Simulate the actions of everything that is not verified (minutes each).")
 @click.option(
-    "--record", is_flag=True, help="Simulate each of RUNS, entries in manifests/leaderboard, and write its record."
+    "--record",
+    is_flag=True,
+    help="Verify each of RUNS, entries in manifests/leaderboard, and write its record.",
 )
 def leaderboard(
     runs: tuple[Path, ...],

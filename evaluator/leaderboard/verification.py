@@ -206,7 +206,7 @@ def write_record(
 ) -> Path:
     """Simulate an entry that comes with rema, and write its verification record, ``verified/NAME.json`` beside it.
 
-    An InputError for anything else than such an entry; IntegrityError where its earlier record has other rows.
+    An entry that was simulated here before, as ``rema submit`` does, is not simulated again. An InputError for anything else than such an entry; IntegrityError where its earlier record has other rows.
     """
     folder = entry_folder()
     if run.recorded is None or run.source.resolve().parent != folder.resolve():
@@ -217,7 +217,7 @@ def write_record(
         )
     if problem := name_problem(run):
         raise SubmissionError(f"{run.source} is refused: {problem}", hint="choose another name", path=str(run.source))
-    found = simulated(run, progress, backend=backend, engine=engine)
+    found = _recalled(run, backend) or simulated(run, progress, backend=backend, engine=engine)
     earlier, path = records(), folder / "verified" / run.source.name
     kept = earlier.get(run.digest)
     if (

@@ -207,6 +207,13 @@ def test_outcomes_that_actions_do_not_give_are_refused_by_name(tmp_path: Path) -
         known(read_run(false))
 
 
+def test_an_entry_that_was_simulated_here_is_recorded_at_once(entry: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    verify(read_entry(entry), backend=WORLD, engine="inline")
+    monkeypatch.setattr("evaluator.leaderboard.verification.simulated", None)  # it would be called
+    path = write_record(read_entry(entry), backend=WORLD, engine="inline")
+    assert records()[read_entry(entry).digest].number == 1 and path.is_file()
+
+
 def test_near_copies_are_shown_without_a_rank(run: Path, entry: Path) -> None:
     actions = read_run(run).actions.copy()
     actions[3, 0] = grid.encode(30, 30, 2)
