@@ -22,6 +22,9 @@ __all__ = ["submit"]
 @click.option(
     "--simulator", is_flag=True, help="Declare that the policy carries a simulator or the scenario list: no rank."
 )
+@click.option(
+    "--adapted", is_flag=True, help="Declare that it was trained on changed situations: ranked apart in a suite."
+)
 @engine_options
 @click.option("--check", "only_check", is_flag=True, help="Check the run and write nothing.")
 @json_option
@@ -31,6 +34,7 @@ def submit(
     link: str,
     output: Path | None,
     simulator: bool,
+    adapted: bool,
     only_check: bool,
     as_json: bool,
     **engine: Any,
@@ -53,7 +57,7 @@ def submit(
     answer = {"valid": valid, "checks": [dataclasses.asdict(check) for check in checks], "entry": None}
     if as_json and not valid:
         print_json(answer)
-    entry = make_entry(inspection, name, link, simulator=simulator)
+    entry = make_entry(inspection, name, link, simulator=simulator, adapted=adapted)
     path = None
     if not only_check:
         path = output or Path(f"{entry.policy}-{entry.task}-{entry.protocol}.json")

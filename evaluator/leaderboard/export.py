@@ -67,7 +67,7 @@ def cells(row: Row) -> tuple[str, ...]:
         "-" if row.ci95 is None else format_interval(row.ci95),
         row.ties,
         "" if row.end_to_end is None else percent(row.end_to_end),
-        "" if row.hard is None else percent(row.hard),
+        "" if row.hard is None else percent(row.hard) + (" adapted" if row.adapted else ""),
         "" if row.fresh is None else "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(100 * end for end in row.fresh)),
         _funnel(row),
         "" if row.z is None else f"{row.z:+.1f}",

@@ -85,6 +85,7 @@ class _Policy(TypedDict, total=False):
     class_name: str
     privileged: bool
     simulator: bool
+    adapted: bool
 
 
 @pydantic.with_config(_OPEN)

@@ -74,6 +74,8 @@ class Run:
     link: str = ""  # where to read about the policy; empty for run folders
     # what an entry, or the class of the policy, says it is; empty for other run folders and entries of format 1
     kind_of_policy: str = ""
+    # trained on situations that were changed as those of a suite are: ranked apart in a suite
+    adapted: bool = False
     digest: str = ""  # sha256 of an entry
     # how it is known that the actions give these outcomes: ``here`` (simulated on this machine) or ``record`` (one that
     # comes with rema); empty where nobody knows

@@ -13,6 +13,7 @@ import pyarrow as pa
 
 from evaluator.engines import make_engine
 from evaluator.engines.child import call_in_child
+from evaluator.policy.wire import TAGS
 from evaluator.rollout.backend import Backend, PolicyProcess, check_digest, default_backend
 from evaluator.rollout.simulate import check_infrastructure, pending_jobs, simulate_jobs
 from evaluator.run.folder import RunFolder
@@ -214,7 +215,7 @@ class _Run:
 
     def _note_policy(self, policy: PolicyProcess) -> None:
         check_digest(policy, self.config.policy.name, self.folder.header["identity"]["policy_digest"])
-        for tag in ("privileged", "simulator"):
+        for tag in TAGS:
             found, known = getattr(policy, tag, False), self.folder.header["policy"].get(tag)
             if known not in (None, found):
                 raise SubmissionError(

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 from evaluator.cli.main import cli
 from evaluator.leaderboard import leaderboard
 from evaluator.leaderboard.comparison import compare
+from evaluator.leaderboard.export import COLUMNS, cells
 from evaluator.leaderboard.suite_tables import suite_tables
 from evaluator.leaderboard.verification import known
 from evaluator.report.breakdown import breakdowns
@@ -68,6 +69,28 @@ def test_a_part_of_a_suite_has_no_rank(runs: list[Path], tmp_path: Path) -> None
     part = write_run(tmp_path / "part", np.ones(50, bool), policy="part", suite="tough-v1")
     (row,) = (row for row in leaderboard([*runs, part], published=False).suites if row.policy == "part")
     assert row.rank is None and row.unranked == "50 of 180 scenarios" and row.score.hard is None
+
+
+def test_policies_that_were_trained_on_changed_situations_are_ranked_apart(runs: list[Path], tmp_path: Path) -> None:
+    for name, seed in (("best", 11), ("nearly", 12)):
+        write_run(tmp_path / name, solved(0.95, seed, COUNT), policy=name, suite="tough-v1", adapted=True)
+    board = leaderboard([*runs, tmp_path / "best", tmp_path / "nearly"], published=False)
+    alone = leaderboard(runs, published=False)
+    assert [row for row in board.suites if not row.adapted] == list(alone.suites)
+    assert {row.policy: row.rank for row in board.suites if row.adapted} == {"best": 1, "nearly": 1}
+    clean, adapted = suite_tables(board, "tough-v1")
+    assert (clean.title, adapted.title) == ("tough-v1: grasp", "tough-v1: grasp, adapted")
+    assert [line[0] for line in clean.lines] == ["good", "same", "poor"] and len(adapted.lines) == 2
+
+
+def test_the_clean_board_says_how_hard_was_reached(runs: list[Path], tmp_path: Path) -> None:
+    made = [
+        write_run(tmp_path / "mine", solved(0.9, 5), policy="mine", adapted=True),
+        write_run(tmp_path / "mine-hard", solved(0.9, 6, COUNT), policy="mine", suite="tough-v1", adapted=True),
+    ]
+    board = leaderboard([*runs, *made], published=False)
+    shown = {row.policy: dict(zip(COLUMNS, cells(row), strict=True))["hard %"] for row in board.rows}
+    assert shown["mine"].endswith(" adapted") and float(shown["good"]) > 50
 
 
 def test_the_table_by_axis(runs: list[Path]) -> None:
