@@ -149,6 +149,26 @@ def test_the_real_world_on_a_machine_that_is_killed(
     assert tables[0] == tables[1]
 
 
+def test_a_suite_has_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the real world: what a scenario changes travels with it."""
+    monkeypatch.setenv("REMA_HOME", str(tmp_path / "home"))
+    tables = []
+    for engine in ("inline", "ray"):
+        config = EvaluationConfig(
+            resolve("scripted"),
+            "grasp",
+            tmp_path / engine,
+            split="val",
+            version="hard-v1",
+            episodes=12,
+            engine=engine,
+            workers=1,
+        )
+        run_evaluation(config)
+        tables.append((tmp_path / engine / "results.parquet").read_bytes())
+    assert tables[0] == tables[1]
+
+
 def test_a_collection_has_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("baselines.rounds.collect.call_in_child", lambda target: fake_fingerprint())
     world = fake_backend(simulator=CLUSTER_SIMULATOR)
