@@ -45,6 +45,8 @@ class Row:
     fresh: tuple[float, float, float] | None = None
     adapted: bool = False  # as in ``Run``: it says how ``hard`` was reached
     hard: float | None = None  # of the same policy over a generalisation suite, on conditional rows
+    # rates of the same policy where a part of the maps is blanked, by protocol, on conditional rows
+    blank: dict[str, float] | None = None
     z: float | None = None  # distance to the published rate of the same policy and task, in standard errors
     policy_digest: str = ""  # this, the hashes, ``fingerprint`` and ``isolation`` are empty if published
     protocol_hash: str = ""

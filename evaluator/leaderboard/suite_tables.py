@@ -17,7 +17,7 @@ from evaluator.statistics import format_interval, percent
 from rema_data.errors import InputError
 from rema_data.schema import TASKS
 
-__all__ = ["SUITE_FORMATS", "SuiteTable", "rows_of_suite", "suite_tables"]
+__all__ = ["SUITE_FORMATS", "SuiteTable", "rows_of_suite", "share", "suite_tables", "trained"]
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -60,13 +60,13 @@ def _line(row: SuiteRow) -> tuple[str, ...]:
         row.policy,
         row.tag,
         "-" if row.rank is None else str(row.rank),
-        _share(score.hard),
+        share(score.hard),
         "-" if score.interval is None else format_interval(score.interval),
         row.ties,
-        _share(row.clean),
-        _share(row.retention),
+        share(row.clean),
+        share(row.retention),
         "-" if worst is None else worst.name,
-        *(_share(axis.mean) for axis in score.axes),
+        *(share(axis.mean) for axis in score.axes),
     )
 
 
@@ -75,7 +75,8 @@ def trained(adapted: bool) -> str:
     return "adapted" if adapted else "clean"
 
 
-def _share(value: float | None) -> str:
+def share(value: float | None) -> str:
+    """A rate in %; a dash where there is none."""
     return "-" if value is None else percent(value)
 
 

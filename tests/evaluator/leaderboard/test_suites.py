@@ -115,6 +115,20 @@ def test_from_the_command_line(runs: list[Path], form: str | None) -> None:
         assert "clutter" in done.stdout and "poor" in done.stdout
 
 
+def test_the_pages_have_the_suite(runs: list[Path], tmp_path: Path) -> None:
+    alone = write_run(tmp_path / "alone", solved(0.5, 4, COUNT), policy="alone", suite="tough-v1")
+    arguments = ["leaderboard", *map(str, [*runs, alone]), "--no-entries", "--no-published"]
+    done = CliRunner().invoke(cli, [*arguments, "--export", "site", "--output", str(tmp_path / "site")])
+    assert done.exit_code == 0, done.output
+    index = (tmp_path / "site" / "index.html").read_text()
+    assert "<h2>tough-v1: grasp</h2>" in index and str(tmp_path) not in index
+    for name in ("good", "alone"):
+        (page,) = (tmp_path / "site" / "policies").glob(f"*-{name}.html")
+        assert "tough-v1: grasp, clean-trained, hard" in page.read_text() and "level 3" in page.read_text()
+    rows = json.loads((tmp_path / "site" / "tough-v1.json").read_text())["rows"]
+    assert [row["policy"] for row in rows] == ["good", "same", "alone", "poor"]
+
+
 def test_a_form_that_a_suite_has_not(runs: list[Path]) -> None:
     arguments = ["leaderboard", str(runs[1]), "--suite", "tough-v1", "--export", "tex"]
     done = CliRunner().invoke(cli, arguments)
