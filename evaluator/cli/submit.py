@@ -18,7 +18,9 @@ __all__ = ["submit"]
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--name", default="", help="How the policy is called on the board.  [default: as in the run]")
 @click.option("--link", default="", help="Address of its paper or code.")
-@click.option("--output", type=click.Path(path_type=Path), help="The entry.  [default: NAME-TASK-PROTOCOL.json]")
+@click.option(
+    "--output", type=click.Path(path_type=Path), help="The entry.  [default: NAME-TASK-PROTOCOL.json, or -SUITE.json]"
+)
 @click.option(
     "--simulator", is_flag=True, help="Declare that the policy carries a simulator or the scenario list: no rank."
 )
@@ -60,7 +62,7 @@ def submit(
     entry = make_entry(inspection, name, link, simulator=simulator, adapted=adapted)
     path = None
     if not only_check:
-        path = output or Path(f"{entry.policy}-{entry.task}-{entry.protocol}.json")
+        path = output or Path(f"{entry.policy}-{entry.task}-{entry.setting}.json")
         content = encode(entry)
         if path.exists() and path.read_bytes() != content:
             raise InputError(f"{path} is there already", hint="choose another file with --output", path=str(path))
@@ -69,7 +71,7 @@ def submit(
         print_json({**answer, "entry": None if path is None else str(path)})
         return
     counts = entry.counts
-    line(f"{entry.policy}, {entry.task} ({entry.protocol}): {len(checks)} checks passed")
+    line(f"{entry.policy}, {entry.task} ({entry.setting}): {len(checks)} checks passed")
     line(f"success rate {format_rate(counts.successes, counts.eligible)}, {counts.successes}/{counts.eligible}")
     if path is not None:
         line(f"entry: {path} ({path.stat().st_size:,} bytes)")

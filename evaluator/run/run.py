@@ -159,6 +159,11 @@ class Run:
         return self.version if self.version and self.version in suites() else ""
 
     @property
+    def setting(self) -> str:
+        """The suite that it was played over, or its protocol: a part of the name of its entry."""
+        return self.suite or self.protocol
+
+    @property
     def fresh(self) -> bool:
         """Whether its scenarios were drawn from a seed on this machine."""
         return self.version.startswith(FRESH)
