@@ -37,7 +37,6 @@ def print_board(board: Board) -> None:
     """Print a board on stdout, and the remarks below."""
     if not board.rows:
         line("no runs: score a policy with `rema evaluate`")
-        return
     hidden: set[str] = set()
     for title, rows in titled_groups(board):
         hidden |= _print_group(title, rows)

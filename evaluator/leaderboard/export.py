@@ -138,10 +138,11 @@ def matrix(board: Board, protocol: str) -> tuple[list[str], list[list[str]]]:
     for key in order:
         line = [key[1] + (f" ({key[3]})" if key[3] > 1 else ""), key[2] + (", not verified" if key[0] == 1 else "")]
         for task in tasks:
-            row = lines[key].get(task)
-            line.append("" if row is None else _short(row))
+            scored = lines[key].get(task)
+            line.append("" if scored is None else _short(scored))
             if task in hard:
-                found = None if row is None or row.hard is None else hardened.get((task, row.policy_digest))
+                known = scored is not None and scored.hard is not None
+                found = hardened.get((task, lines[key][task].policy_digest)) if known else None
                 line.append("-" if found is None else _short_hard(found))
         made.append(line)
     return header, made

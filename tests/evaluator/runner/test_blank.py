@@ -123,6 +123,8 @@ def test_from_the_command_line(tmp_path: Path) -> None:
     assert site.exit_code == 0, site.output
     (page,) = (tmp_path / "site" / "policies").glob("*-mine.html")
     assert "with the scene blanked: " in page.read_text()
+    alone = CliRunner().invoke(cli, ["leaderboard", str(runs[1]), "--no-entries", "--no-published"])
+    assert "mine (grasp, blank-scene) is not shown: its policy has no conditional row" in alone.stdout
     none = CliRunner().invoke(
         cli, ["evaluate", "random", "--task", "grasp", "--suite", "x", "--protocol", "blank-hand"]
     )
