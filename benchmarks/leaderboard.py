@@ -32,6 +32,10 @@ NOTE = (
     "verified, so it has no letters. `published`: the paper's rates, from other scenes and another simulator. "
     "`rema leaderboard` shows the rest."
 )
+HARD = (
+    " `hard`: the mean over the axes of [the generalisation suite](docs/suite.md), with letters of its own; `-`: not "
+    "played; `adapted`: trained on changed situations, and compared apart."
+)
 
 
 def section() -> str:
@@ -39,12 +43,13 @@ def section() -> str:
     board = leaderboard(find_entries())
     for error in board.refused:
         raise error
-    parts = []
+    parts, note = [], NOTE
     for protocol in PROTOCOLS:
         header, lines = matrix(board, protocol)
         if lines:
             parts += [f"**{protocol.capitalize()}**", markdown_table(header, [map(to_markdown, one) for one in lines])]
-    return "\n\n".join([*parts, NOTE])
+            note = NOTE + HARD if any(name.endswith(" hard") for name in header) else note
+    return "\n\n".join([*parts, note])
 
 
 def replace_section(text: str, content: str) -> str:

@@ -21,6 +21,7 @@ from rema_data.errors import MissingFileError, RemaError
 
 SECTIONS = {
     "sim_throughput": "Speed of the world",
+    "noise": "Observations with the noise of a camera",
     "full_run": "Whole runs",
     "report_page": "The report of a run",
     "view": "Browsing a release",

@@ -11,6 +11,7 @@ rema scenarios v1 # lists that are already there are kept
 python benchmarks/calibrate.py --json $results/calibration.json
 python benchmarks/sensitivity.py --episodes 200 --json $results/sensitivity.json
 python benchmarks/sim_throughput.py --json $results/sim_throughput.json
+python benchmarks/noise.py --json $results/noise.json
 python benchmarks/shortcuts.py --json $results/shortcuts.json
 python benchmarks/memory.py --json $results/memory.json
 python benchmarks/determinism.py --episodes 60 --others 400 --json $results/determinism.json

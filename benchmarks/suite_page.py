@@ -80,6 +80,11 @@ kept, and the worst axis. Ranking by the kept share would reward weak policies. 
 clean scenarios (10,000 times), since levels share them. Two policies share a letter where their difference, over the
 same draws, is not significant after Holm's adjustment for all pairs of the suite.
 
+Policies are ranked in two groups. A *clean-trained* policy never saw a changed situation before; an *adapted* one was
+trained on some, of the training seeds, and says so ([how](submit.md#4-make-the-entry)). What the two measure is not the
+same: whether skill carries over, and how much of the change can be learned. Each group has its own table, letters and
+ranks.
+
 Where other loose objects lie beside the target (`clutter`), lifting any one of them, alone, counts: the one between the
 fingers is the target of the attempt.
 """

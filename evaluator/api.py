@@ -55,7 +55,7 @@ def evaluate(
         Weights, handed to the policy; an installed policy may bring its own.
     device : str
         Handed to the policy.
-    protocol : {"conditional", "end-to-end"}
+    protocol : {"conditional", "end-to-end", "blank-scene", "blank-hand"}
     split : {"test", "val"}
     suite : str, optional
         A generalisation suite, such as ``hard-v1``: its scenarios in place of the clean ones.

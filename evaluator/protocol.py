@@ -16,6 +16,7 @@ __all__ = [
     "ACTION_FLIP_LIMIT",
     "AUDIT_LEAST",
     "AUDIT_SHARE",
+    "BLANKED",
     "FAULT_CHECK",
     "FAULT_LIMIT",
     "FIRST_LOOK",
@@ -24,6 +25,7 @@ __all__ = [
     "MAX_BATCH",
     "PROTOCOLS",
     "acting_steps",
+    "check_protocol",
     "protocol",
     "protocol_hash",
 ]
@@ -58,12 +60,28 @@ PROTOCOLS: dict[str, str] = {
     ),
 }
 """Protocol names, and what they mean."""
+BLANKED: dict[str, str] = {
+    f"blank-{part}": (
+        f"As conditional, but every policy is shown {zeros} in place of what is there. The rate is what it reaches "
+        f"without seeing the {part}."
+    )
+    for part, zeros in (("scene", "an empty table"), ("hand", "end-effector maps of zeros"))
+}
+"""Protocols of self-audits, in which a part of the maps is blanked; each has its own hash, and none is a row."""
 
 
 def acting_steps(task: str, protocol: str) -> tuple[int, ...]:
     """Steps in which the policy acts, which are those that are scored: the last one (conditional), or all."""
     steps = tuple(range(len(TASKS[task])))
-    return steps[-1:] if protocol == "conditional" else steps
+    return steps if protocol == "end-to-end" else steps[-1:]
+
+
+def check_protocol(name: str) -> str:
+    """``name``; an InputError where there is no such protocol."""
+    if name not in PROTOCOLS and name not in BLANKED:
+        known = ", ".join((*PROTOCOLS, *BLANKED))
+        raise InputError(f"unknown protocol {name!r}", hint=f"choose one of: {known}", protocol=name, field="protocol")
+    return name
 
 
 def protocol(task: str, name: str) -> dict[str, Any]:
@@ -73,21 +91,19 @@ def protocol(task: str, name: str) -> dict[str, Any]:
     ----------
     task : str
     name : str
-        ``conditional`` or ``end-to-end``.
+        One of ``PROTOCOLS`` and ``BLANKED``.
 
     Raises
     ------
     InputError
         When there is no such task or protocol.
     """
-    kinds = TASKS[check_task(task)]
-    if name not in PROTOCOLS:
-        raise InputError(f"unknown protocol {name!r}", hint=f"choose one of: {', '.join(PROTOCOLS)}", protocol=name)
+    kinds, meaning = TASKS[check_task(task)], (PROTOCOLS | BLANKED)[check_protocol(name)]
     return {
         "version": 1,
         "schema_version": 1,  # of the records that the results are made of, not of a file: it stays
         "name": name,
-        "meaning": PROTOCOLS[name],
+        "meaning": meaning,
         "task": task,
         "steps": [
             {"primitive": str(kind.primitive), "embodiment": str(kind.embodiment), "success": KINDS[kind].criterion()}

@@ -8,6 +8,7 @@ from evaluator.cli.output import line, print_table, styled
 from evaluator.leaderboard import Board, Row
 from evaluator.leaderboard.export import COLUMNS, cells, titled_groups
 from evaluator.leaderboard.suite_tables import SuiteTable
+from evaluator.protocol import BLANKED
 
 __all__ = ["print_board", "print_suite"]
 
@@ -20,6 +21,7 @@ _OPTIONAL = (
     "errors",
     "funnel %",
     "z",
+    *(f"{name} %" for name in BLANKED),
     "clean - fresh",
     "hard %",
     "end-to-end %",
@@ -35,7 +37,6 @@ def print_board(board: Board) -> None:
     """Print a board on stdout, and the remarks below."""
     if not board.rows:
         line("no runs: score a policy with `rema evaluate`")
-        return
     hidden: set[str] = set()
     for title, rows in titled_groups(board):
         hidden |= _print_group(title, rows)

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from evaluator.cli.options import engine_options, json_option, policy_options
-from evaluator.protocol import PROTOCOLS
+from evaluator.protocol import BLANKED, PROTOCOLS
 from rema_data.schema import TASKS
 
 __all__ = ["evaluate"]
@@ -23,7 +23,7 @@ __all__ = ["evaluate"]
 @policy_options
 @engine_options
 @click.option("--shard", metavar="I/N", help="Play this shard of the scenarios; `rema merge` merges them.")
-@click.option("--protocol", type=click.Choice(list(PROTOCOLS)), default="conditional", show_default=True)
+@click.option("--protocol", type=click.Choice([*PROTOCOLS, *BLANKED]), default="conditional", show_default=True)
 @click.option("--split", type=click.Choice(["test", "val"]), default="test", show_default=True)
 @click.option("--output", type=click.Path(path_type=Path), help="Run folder.  [default: runs/POLICY-TASK-PROTOCOL]")
 @click.option("--batch-size", type=click.IntRange(1, 4096), default=64, show_default=True, help="Observations a call.")

@@ -18,9 +18,14 @@ __all__ = ["submit"]
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--name", default="", help="How the policy is called on the board.  [default: as in the run]")
 @click.option("--link", default="", help="Address of its paper or code.")
-@click.option("--output", type=click.Path(path_type=Path), help="The entry.  [default: NAME-TASK-PROTOCOL.json]")
+@click.option(
+    "--output", type=click.Path(path_type=Path), help="The entry.  [default: NAME-TASK-PROTOCOL.json, or -SUITE.json]"
+)
 @click.option(
     "--simulator", is_flag=True, help="Declare that the policy carries a simulator or the scenario list: no rank."
+)
+@click.option(
+    "--adapted", is_flag=True, help="Declare that it was trained on changed situations: ranked apart in a suite."
 )
 @engine_options
 @click.option("--check", "only_check", is_flag=True, help="Check the run and write nothing.")
@@ -31,6 +36,7 @@ def submit(
     link: str,
     output: Path | None,
     simulator: bool,
+    adapted: bool,
     only_check: bool,
     as_json: bool,
     **engine: Any,
@@ -53,10 +59,10 @@ def submit(
     answer = {"valid": valid, "checks": [dataclasses.asdict(check) for check in checks], "entry": None}
     if as_json and not valid:
         print_json(answer)
-    entry = make_entry(inspection, name, link, simulator=simulator)
+    entry = make_entry(inspection, name, link, simulator=simulator, adapted=adapted)
     path = None
     if not only_check:
-        path = output or Path(f"{entry.policy}-{entry.task}-{entry.protocol}.json")
+        path = output or Path(f"{entry.policy}-{entry.task}-{entry.setting}.json")
         content = encode(entry)
         if path.exists() and path.read_bytes() != content:
             raise InputError(f"{path} is there already", hint="choose another file with --output", path=str(path))
@@ -65,7 +71,7 @@ def submit(
         print_json({**answer, "entry": None if path is None else str(path)})
         return
     counts = entry.counts
-    line(f"{entry.policy}, {entry.task} ({entry.protocol}): {len(checks)} checks passed")
+    line(f"{entry.policy}, {entry.task} ({entry.setting}): {len(checks)} checks passed")
     line(f"success rate {format_rate(counts.successes, counts.eligible)}, {counts.successes}/{counts.eligible}")
     if path is not None:
         line(f"entry: {path} ({path.stat().st_size:,} bytes)")

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from evaluator.leaderboard.blank import blank_rates, blank_remarks
 from evaluator.leaderboard.copies import in_order, once
 from evaluator.leaderboard.fresh import fresh_counts, fresh_gap
 from evaluator.leaderboard.naming import PUBLISHED
@@ -15,6 +16,7 @@ from evaluator.leaderboard.ranking import LEVEL, Pair, rank_runs
 from evaluator.leaderboard.row import Row, published_rows, row_of
 from evaluator.leaderboard.suites import SuiteRow, suite_rows
 from evaluator.leaderboard.verification import NOT_SIMULATED, known, records, verify
+from evaluator.protocol import BLANKED
 from evaluator.rollout.backend import Backend
 from evaluator.run.reading import read_run
 from evaluator.run.run import Run
@@ -70,12 +72,15 @@ def leaderboard(
 
     read, refused = _read(sources, settled, backend)
     everything, copies = once(in_order(read, records()))
-    runs = [run for run in everything if not run.suite and not run.fresh]
+    clean = [run for run in everything if not run.suite and not run.fresh]
+    runs = [run for run in clean if run.protocol not in BLANKED]
+    blank = [run for run in clean if run.protocol in BLANKED]
     fresh = fresh_counts([run for run in everything if run.fresh])
     standings, pairs = rank_runs(runs)
     conditional = {_policy(run): run.counts.rate for run in runs if run.has_counts and not run.end_to_end}
     hardened = suite_rows([run for run in everything if run.suite], conditional)
     hard = {(row.task, row.policy_digest): row.score.hard for row in reversed(hardened) if not row.unranked}
+    blanked = blank_rates(blank)
     whole = {
         _policy(run): run.counts.rate
         for run, standing in zip(runs, standings, strict=True)
@@ -88,6 +93,7 @@ def leaderboard(
             end_to_end=None if run.end_to_end else whole.get(_policy(run)),
             hard=None if run.end_to_end else hard.get(_policy(run)),
             fresh=fresh_gap(run, fresh),
+            blank=None if run.end_to_end else blanked.get(_policy(run)),
         )
         for run, standing in zip(runs, standings, strict=True)
     ]
@@ -95,13 +101,15 @@ def leaderboard(
         tasks = {row.task for row in rows} or set(TASKS)
         rows += [row for row in published_rows() if row.task in tasks]
     rows.sort(key=_place)
+    beside = {_policy(run) for run in runs if not run.end_to_end}
     left_out = [f"LEFT OUT: {error.message} ({error.hint})" for error in refused]
     shown_once = [
         f"{copy.policy} ({copy.source}) has the actions of {first.policy} and is shown as that one."
         for copy, first in copies
         if (copy.policy, copy.provenance.policy_digest) != (first.policy, first.provenance.policy_digest)
     ]
-    return Board(tuple(rows), (*left_out, *shown_once, *_remarks(rows, pairs)), refused, tuple(hardened))
+    remarks = (*left_out, *shown_once, *_remarks(rows, pairs), *blank_remarks(blank, beside))
+    return Board(tuple(rows), remarks, refused, tuple(hardened))
 
 
 def _read(

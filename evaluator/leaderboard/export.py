@@ -12,6 +12,8 @@ from itertools import groupby
 
 from evaluator.leaderboard import PUBLISHED, Board, Row, apart
 from evaluator.leaderboard.escape import one_line, to_csv, to_latex, to_markdown, web_link
+from evaluator.leaderboard.suites import SuiteRow
+from evaluator.protocol import BLANKED
 from evaluator.statistics import format_interval, percent
 from rema_data.schema import TASKS
 
@@ -30,6 +32,7 @@ COLUMNS = (
     "end-to-end %",
     "hard %",
     "clean - fresh",
+    *(f"{name} %" for name in BLANKED),
     "funnel %",
     "z",
     "errors",
@@ -67,8 +70,9 @@ def cells(row: Row) -> tuple[str, ...]:
         "-" if row.ci95 is None else format_interval(row.ci95),
         row.ties,
         "" if row.end_to_end is None else percent(row.end_to_end),
-        "" if row.hard is None else percent(row.hard),
+        "" if row.hard is None else percent(row.hard) + (" adapted" if row.adapted else ""),
         "" if row.fresh is None else "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(100 * end for end in row.fresh)),
+        *(percent(row.blank[name]) if row.blank and name in row.blank else "" for name in BLANKED),
         _funnel(row),
         "" if row.z is None else f"{row.z:+.1f}",
         ", ".join(errors),
@@ -109,7 +113,8 @@ def matrix(board: Board, protocol: str) -> tuple[list[str], list[list[str]]]:
     """The header and the lines of a table with one line a policy and one column a task: rate, interval and letters.
 
     Policies without a rank are left out, except privileged and published ones, and, after the others, those of which
-    the numbers are not verified. Empty cells: not scored.
+    the numbers are not verified. Empty cells: not scored. Behind a task stands its ``hard`` column, where a policy was
+    played over a suite; a dash for those that were not.
     """
     shown = [
         row
@@ -125,11 +130,22 @@ def matrix(board: Board, protocol: str) -> tuple[list[str], list[list[str]]]:
             number += 1
         lines[key][row.task] = row
     order = sorted(lines, key=lambda key: (key[0], -max(row.rate or 0.0 for row in lines[key].values()), key))
-    return ["policy", "kind", *tasks], [
-        [key[1] + (f" ({key[3]})" if key[3] > 1 else ""), key[2] + (", not verified" if key[0] == 1 else "")]
-        + [_short(lines[key][task]) if task in lines[key] else "" for task in tasks]
-        for key in order
-    ]
+    hardened = {(row.task, row.policy_digest): row for row in reversed(board.suites) if not row.unranked}
+    hard = [task for task in tasks if any(row.task == task and row.hard is not None for row in shown)]
+    header, made = ["policy", "kind"], []
+    for task in tasks:
+        header += [task, f"{task} hard"] if task in hard else [task]
+    for key in order:
+        line = [key[1] + (f" ({key[3]})" if key[3] > 1 else ""), key[2] + (", not verified" if key[0] == 1 else "")]
+        for task in tasks:
+            scored = lines[key].get(task)
+            line.append("" if scored is None else _short(scored))
+            if task in hard:
+                known = scored is not None and scored.hard is not None
+                found = hardened.get((task, lines[key][task].policy_digest)) if known else None
+                line.append("-" if found is None else _short_hard(found))
+        made.append(line)
+    return header, made
 
 
 def _block(row: Row) -> int:
@@ -143,6 +159,12 @@ def _short(row: Row) -> str:
     if row.tag == PUBLISHED:
         return percent(row.rate)
     return f"{percent(row.rate)} [{format_interval(row.ci95)}] {row.ties}".strip()
+
+
+def _short_hard(row: SuiteRow) -> str:
+    interval = "" if row.score.interval is None else f"[{format_interval(row.score.interval)}]"
+    parts = ("-" if row.score.hard is None else percent(row.score.hard), interval, row.ties)
+    return " ".join(filter(None, (*parts, "adapted" if row.adapted else "")))
 
 
 def markdown_table(header: Sequence[str], lines: Iterable[Iterable[str]]) -> str:
@@ -230,7 +252,7 @@ def _without_title(line: Sequence[str]) -> list[str]:
 
 
 _PAIRS = ("ci95", "bounds")
-_NESTED = ("failures", "funnel", "audit", "fresh")
+_NESTED = ("failures", "funnel", "audit", "fresh", "blank")
 
 
 def _csv(board: Board) -> str:

@@ -6,7 +6,7 @@ from functools import lru_cache
 
 from evaluator.leaderboard.published import published_table
 from evaluator.policy.loading import resolve, weights_of
-from evaluator.policy.named import KINDS, PRIVILEGED_KINDS, find_named, is_reserved, policy_names
+from evaluator.policy.named import KINDS, PRIVILEGED_KINDS, find_named, is_adapted, is_reserved, policy_names
 from evaluator.policy.sandbox.snapshot import digest
 from evaluator.run.run import Run
 from rema_data.errors import RemaError
@@ -50,6 +50,8 @@ def _installed_problem(run: Run, name: str) -> str:
     wanted = "privileged" if kind in PRIVILEGED_KINDS else kind
     if run.kind_of_policy and run.tag != wanted:
         return f"{name!r} is {wanted}, the entry says {run.tag}"
+    if run.adapted != (adapted := is_adapted(name)):
+        return f"{name!r} is installed as {'adapted' if adapted else 'clean-trained'}, the {run.kind} says otherwise"
     return "" if own or run.kind == "run" else f"{name!r} has no weights of its own: choose another name"
 
 

@@ -43,7 +43,10 @@ class Row:
     end_to_end: float | None = None  # rate over the whole task, on conditional rows of tasks of several steps
     # clean rate minus that over fresh scenarios of the same policy, and its 95 % interval, on conditional rows
     fresh: tuple[float, float, float] | None = None
+    adapted: bool = False  # as in ``Run``: it says how ``hard`` was reached
     hard: float | None = None  # of the same policy over a generalisation suite, on conditional rows
+    # rates of the same policy where a part of the maps is blanked, by protocol, on conditional rows
+    blank: dict[str, float] | None = None
     z: float | None = None  # distance to the published rate of the same policy and task, in standard errors
     policy_digest: str = ""  # this, the hashes, ``fingerprint`` and ``isolation`` are empty if published
     protocol_hash: str = ""
@@ -57,7 +60,10 @@ class Row:
 def row_of(run: Run, **standing: Any) -> Row:
     """The row of a run; ``standing`` are the fields that depend on the other rows."""
     provenance, z = run.provenance, None
-    what = {name: getattr(run, name) for name in ("policy", "tag", "task", "protocol", "split", "link", "isolation")}
+    what = {
+        name: getattr(run, name)
+        for name in ("policy", "tag", "task", "protocol", "split", "link", "isolation", "adapted")
+    }
     what |= {name: getattr(provenance, name) for name in ("policy_digest", "protocol_hash", "scenarios_hash")}
     what |= {"source": str(run.source), **standing}
     if not run.has_counts:

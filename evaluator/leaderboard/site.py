@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import html
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from evaluator.leaderboard import PUBLISHED, Board, Row
 from evaluator.leaderboard.escape import one_line, web_link
 from evaluator.leaderboard.export import COLUMNS, board_html, cells, export, html_page
+from evaluator.leaderboard.suite_tables import SUITE_FORMATS, share, suite_tables
+from evaluator.leaderboard.suites import SuiteRow
+from evaluator.statistics import percent
 from rema_data.interrupts import check
 from rema_data.publish.folder import whole_folder
 from rema_data.storage import write_atomic
@@ -39,11 +42,22 @@ def write_site(board: Board, target: Path) -> int:
     nothing is left then.
     """
     # Where a run lies on this machine is nobody's business.
-    board = replace(board, rows=tuple(replace(row, source=Path(row.source).name) for row in board.rows))
-    pages = _addresses(board.rows)
+    board = replace(
+        board,
+        rows=tuple(replace(row, source=Path(row.source).name) for row in board.rows),
+        suites=tuple(replace(row, source=Path(row.source).name) for row in board.suites),
+    )
+    suites = sorted({row.suite for row in board.suites})
+    pages = _addresses((*board.rows, *board.suites))
     with whole_folder(target, "--output") as folder:
         downloads = ", ".join(f'<a href="board.{form}">{form}</a>' for form in _FILES)
         tables = board_html(board, lambda row: pages[_policy(row)])
+        for suite in suites:
+            for table in suite_tables(board, suite):
+                tables += f"\n<h2>{html.escape(table.title)}</h2>\n{_table(table.header, table.lines)}"
+            for form, made in SUITE_FORMATS.items():
+                downloads += f', <a href="{suite}.{form}">{suite}.{form}</a>'
+                write_atomic(folder / f"{suite}.{form}", made(board, suite))
         body = f'<p><a href="submit.html">How to submit</a>. The same as {downloads}.</p>\n{tables}'
         write_atomic(folder / "index.html", html_page("rema leaderboard", body))
         write_atomic(folder / "submit.html", _page("How to submit", _GUIDE, "index.html"))
@@ -52,7 +66,9 @@ def write_site(board: Board, target: Path) -> int:
         for policy, address in pages.items():
             check()
             rows = [row for row in board.rows if _policy(row) == policy]
-            write_atomic(folder / address, _page(policy[0], _policy_body(rows), "../index.html"))
+            hardened = [row for row in board.suites if _policy(row) == policy]
+            body = "\n".join((f"<p>Kind: {html.escape(policy[1])}.</p>", *_row_parts(rows), *_suite_parts(hardened)))
+            write_atomic(folder / address, _page(policy[0], body, "../index.html"))
     return len(pages) + 2
 
 
@@ -60,12 +76,12 @@ def _page(title: str, body: str, back: str) -> str:
     return html_page(one_line(title), f'<p><a href="{back}">The leaderboard</a></p>\n{body}')
 
 
-def _policy(row: Row) -> tuple[str, str]:
+def _policy(row: Row | SuiteRow) -> tuple[str, str]:
     """What has a page: policies of one name but of another kind have their own."""
     return row.policy, row.tag
 
 
-def _addresses(rows: Iterable[Row]) -> dict[tuple[str, str], str]:
+def _addresses(rows: Iterable[Row | SuiteRow]) -> dict[tuple[str, str], str]:
     """The page of every policy; a name is whatever its author wrote, so a number keeps pages apart."""
     found: dict[tuple[str, str], str] = {}
     for row in rows:
@@ -74,15 +90,21 @@ def _addresses(rows: Iterable[Row]) -> dict[tuple[str, str], str]:
     return found
 
 
-def _policy_body(rows: Sequence[Row]) -> str:
-    first = rows[0]
-    parts = [f"<p>Kind: {html.escape(first.tag)}.</p>"]
-    if first.tag == PUBLISHED:
+def _row_parts(rows: Sequence[Row]) -> list[str]:
+    """What a policy's page says about its rows of the clean board."""
+    if not rows:
+        return []
+    parts = []
+    if rows[0].tag == PUBLISHED:
         parts.append("<p>Rates of the paper's Table 2: other scenes and another simulator.</p>")
     for address in dict.fromkeys(web_link(row.link) for row in rows if web_link(row.link)):
         parts.append(f'<p><a href="{html.escape(address)}">{html.escape(address)}</a></p>')
     shown = [name for name in COLUMNS if name not in ("policy", "tag", "failures")]
     parts.append(_table(shown, ([dict(zip(COLUMNS, cells(row), strict=True))[name] for name in shown] for row in rows)))
+    for row in rows:
+        for name, rate in (row.blank or {}).items():
+            said = f"{row.task}, with the {name.removeprefix('blank-')} blanked: {percent(rate)} %"
+            parts.append(f"<p>{html.escape(said)}, otherwise {percent(row.rate or 0.0)} %</p>")
     failed = [(row, label, count) for row in rows for label, count in sorted((row.failures or {}).items()) if count]
     if failed:
         lines = [
@@ -94,7 +116,27 @@ def _policy_body(rows: Sequence[Row]) -> str:
     if marks:
         header = ("task", "protocol", "verified", "policy", "scenarios", "rules")
         parts += ["<h2>What was simulated</h2>", _table(header, marks)]
-    return "\n".join(parts)
+    return parts
+
+
+def _suite_parts(rows: Sequence[SuiteRow]) -> Iterator[str]:
+    """The rates of every cell of a suite, an axis a line."""
+    for row in rows:
+        levels = max(len(axis.cells) for axis in row.score.axes)
+        lines = [
+            (
+                axis.name,
+                *(share(cell.rate) for cell in axis.cells),
+                *("",) * (levels - len(axis.cells)),
+                share(axis.mean),
+            )
+            for axis in row.score.axes
+        ]
+        header = ("axis", *(f"level {number}" for number in range(1, levels + 1)), "mean")
+        title = (
+            f"{row.suite}: {row.task}, {'adapted' if row.adapted else 'clean-trained'}, hard {share(row.score.hard)}"
+        )
+        yield f"<h2>{html.escape(title)}</h2>\n{_table(header, lines)}"
 
 
 def _marks(row: Row) -> tuple[str, ...]:

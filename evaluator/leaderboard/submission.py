@@ -81,12 +81,15 @@ def _simulated(report: ReplayReport) -> Check:
     return Check("simulated", report.verified, "every row is what its recorded actions give", found)
 
 
-def make_entry(inspection: Inspection, name: str = "", link: str = "", *, simulator: bool = False) -> Run:
+def make_entry(
+    inspection: Inspection, name: str = "", link: str = "", *, simulator: bool = False, adapted: bool = False
+) -> Run:
     """A run that meets every condition, as ``encode`` makes an entry of it.
 
     ``name`` is the policy's on the board (that of the run by default), ``link`` where to read about it; ``simulator``
-    declares that the policy carries a simulator or the scenario list. Raises InputError where a text cannot be used,
-    SubmissionError where a condition is not met or the name is not free.
+    declares that the policy carries a simulator or the scenario list, ``adapted`` that it was trained on changed
+    situations. Raises InputError where a text cannot be used, SubmissionError where a condition is not met or the name
+    is not free.
     """
     run, folder = inspection.run, inspection.run.source
     failed = [check for check in inspection.checks if not check.passed]
@@ -100,6 +103,7 @@ def make_entry(inspection: Inspection, name: str = "", link: str = "", *, simula
         )
     hint = "choose another --name or --link"
     shown: str = validated(Name, name or run.policy, "--name", hint=hint)  # type: ignore[arg-type]
+    run = dataclasses.replace(run, adapted=adapted or run.adapted)
     if problem := name_problem(run, shown):
         raise SubmissionError(problem, hint="choose another name with --name", name=shown)
     address: str = validated(Link, link, "--link", hint=hint)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""The board of a suite as tables of text: one a task, a policy a line, an axis a column."""
+"""The board of a suite as tables of text: a policy a line, an axis a column."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from evaluator.statistics import format_interval, percent
 from rema_data.errors import InputError
 from rema_data.schema import TASKS
 
-__all__ = ["SUITE_FORMATS", "SuiteTable", "rows_of_suite", "suite_tables"]
+__all__ = ["SUITE_FORMATS", "SuiteTable", "rows_of_suite", "share", "suite_tables", "trained"]
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -30,23 +30,27 @@ class SuiteTable:
 
 
 def rows_of_suite(board: Board, suite: str) -> list[SuiteRow]:
-    """The rows of a suite, by task and ``hard``; InputError for a suite that is not here."""
+    """The rows of a suite, by task, training and ``hard``; InputError for a suite that is not here."""
     if suite not in suites():
         raise InputError(
             f"there is no suite {suite!r}", hint=f"choose one of: {', '.join(suites()) or 'none is here'}", suite=suite
         )
-    return sorted((row for row in board.suites if row.suite == suite), key=lambda row: list(TASKS).index(row.task))
+    order = list(TASKS)
+    return sorted(
+        (row for row in board.suites if row.suite == suite), key=lambda row: (order.index(row.task), row.adapted)
+    )
 
 
 def suite_tables(board: Board, suite: str) -> list[SuiteTable]:
-    """A table for every task that was played."""
+    """A table for every task that was played, and behind it that of the policies trained on changed situations."""
     rows = rows_of_suite(board, suite)
     tables = []
-    for task in dict.fromkeys(row.task for row in rows):
-        own = [row for row in rows if row.task == task]
+    for task, adapted in dict.fromkeys((row.task, row.adapted) for row in rows):
+        own = [row for row in rows if (row.task, row.adapted) == (task, adapted)]
         axes = tuple(axis.name if axis.counts else f"({axis.name})" for axis in own[0].score.axes)
         header = ("policy", "tag", "rank", "hard %", "95 %", "ties", "clean %", "kept %", "worst axis", *axes)
-        tables.append(SuiteTable(f"{suite}: {task}", header, tuple(_line(row) for row in own)))
+        title = f"{suite}: {task}" + (", adapted" if adapted else "")
+        tables.append(SuiteTable(title, header, tuple(_line(row) for row in own)))
     return tables
 
 
@@ -56,17 +60,23 @@ def _line(row: SuiteRow) -> tuple[str, ...]:
         row.policy,
         row.tag,
         "-" if row.rank is None else str(row.rank),
-        _share(score.hard),
+        share(score.hard),
         "-" if score.interval is None else format_interval(score.interval),
         row.ties,
-        _share(row.clean),
-        _share(row.retention),
+        share(row.clean),
+        share(row.retention),
         "-" if worst is None else worst.name,
-        *(_share(axis.mean) for axis in score.axes),
+        *(share(axis.mean) for axis in score.axes),
     )
 
 
-def _share(value: float | None) -> str:
+def trained(adapted: bool) -> str:
+    """What a policy was trained on, in a word."""
+    return "adapted" if adapted else "clean"
+
+
+def share(value: float | None) -> str:
+    """A rate in %; a dash where there is none."""
     return "-" if value is None else percent(value)
 
 
@@ -84,12 +94,22 @@ def _escaped(lines: Sequence[Sequence[str]]) -> list[list[str]]:
 def _csv(board: Board, suite: str) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["policy", "tag", "task", "axis", "level", "successes", "scenarios", "rate"])
+    writer.writerow(["policy", "tag", "trained", "task", "axis", "level", "successes", "scenarios", "rate"])
     for row in rows_of_suite(board, suite):
         for axis in row.score.axes:
             for cell in axis.cells:
                 rate = "" if cell.rate is None else cell.rate
-                line = (row.policy, row.tag, row.task, axis.name, cell.level, cell.successes, cell.of, rate)
+                line = (
+                    row.policy,
+                    row.tag,
+                    trained(row.adapted),
+                    row.task,
+                    axis.name,
+                    cell.level,
+                    cell.successes,
+                    cell.of,
+                    rate,
+                )
                 writer.writerow(map(to_csv, line))
     return text.getvalue()
 

@@ -2,7 +2,8 @@
 
 Ranked by ``hard`` itself: retention (``hard`` over the clean rate) would reward weak policies. Two policies share a
 letter where the difference of their ``hard`` is not significant: a bootstrap over clean scenarios, the same draws for
-both, adjusted for all pairs of the suite (Holm).
+both, adjusted for all pairs of the suite (Holm). Policies that were trained on changed situations are ranked apart:
+what the suite asks of the others, to carry over what was never shown, is not asked of them.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ class SuiteRow:
 
     policy: str
     tag: str
+    adapted: bool  # trained on changed situations: ranked apart
     suite: str
     task: str
     score: SuiteScore
@@ -55,16 +57,14 @@ def suite_rows(runs: Sequence[Run], clean: Mapping[tuple[str, str], float | None
     ranked = [n for n, reason in enumerate(reasons) if not reason]
     found = [solved(run) for run in known]
     again = {n: found[n][0].hard_again for n in ranked}
-    pairs = [
-        (a, b) for a, b in combinations(ranked, 2) if (known[a].task, known[a].suite) == (known[b].task, known[b].suite)
-    ]
+    pairs = [(a, b) for a, b in combinations(ranked, 2) if _group(known[a]) == _group(known[b])]
     adjusted = holm([_p(again[a] - again[b]) for a, b in pairs])
     different = {pair for pair, p in zip(pairs, adjusted, strict=True) if p <= LEVEL}
     scores = {n: score_of(run.task, *found[n]) for n, run in enumerate(known)}
     order = sorted(range(len(known)), key=lambda n: -(scores[n].hard or -1.0))
     letters: dict[int, str] = {}
-    for group in {(run.task, run.suite) for run in known}:
-        members = [n for n in order if n in again and (known[n].task, known[n].suite) == group]
+    for group in {_group(run) for run in known}:
+        members = [n for n in order if n in again and _group(known[n]) == group]
         place = {n: position for position, n in enumerate(members)}
         apart = {(place[a], place[b]) for a, b in different if a in place}
         if len(members) > 1:
@@ -83,6 +83,7 @@ def suite_rows(runs: Sequence[Run], clean: Mapping[tuple[str, str], float | None
             SuiteRow(
                 run.policy,
                 run.tag,
+                run.adapted,
                 run.suite,
                 run.task,
                 scores[n],
@@ -96,6 +97,11 @@ def suite_rows(runs: Sequence[Run], clean: Mapping[tuple[str, str], float | None
             )
         )
     return rows
+
+
+def _group(run: Run) -> tuple[str, str, bool]:
+    """What is ranked together."""
+    return run.task, run.suite, run.adapted
 
 
 def _p(differences: np.ndarray) -> float:

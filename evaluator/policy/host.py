@@ -99,6 +99,11 @@ class PolicyHost:
         return self._started is not None and self._started.tags["simulator"]
 
     @property
+    def adapted(self) -> bool:
+        """Whether the policy says that it was trained on changed situations; known after entering."""
+        return self._started is not None and self._started.tags["adapted"]
+
+    @property
     def isolation(self) -> Isolation:
         """What the sandbox restricts, and its level; known after entering."""
         if self._isolation is None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from rema_data import plugins
 from rema_data.errors import InputError
 
-__all__ = ["GROUP", "KINDS", "PRIVILEGED_KINDS", "NamedPolicy", "find_named", "kind_of", "policy_names"]
+__all__ = ["GROUP", "KINDS", "PRIVILEGED_KINDS", "NamedPolicy", "find_named", "is_adapted", "kind_of", "policy_names"]
 
 GROUP = "rema.policies"
 """The entry points that name policies."""
@@ -34,6 +34,7 @@ class NamedPolicy:
     description: str  # one line
     checkpoint: Path | None = None  # weights that its package carries, for a run that names none
     published: str = ""  # row of the paper's Table 2 that it reimplements; empty for most
+    adapted: bool = False  # its weights were trained on changed situations, as those of a generalisation suite are
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -58,6 +59,15 @@ def kind_of(name: str) -> str | None:
     except InputError:
         return None
     return None if named is None else named.kind
+
+
+def is_adapted(name: str) -> bool:
+    """Whether the installed policy of that name was trained on changed situations; False where there is none."""
+    try:
+        named = find_named(name)
+    except InputError:
+        return False
+    return named is not None and named.adapted
 
 
 def is_reserved(name: str) -> bool:

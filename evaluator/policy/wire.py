@@ -43,8 +43,9 @@ MAX_HEADER = 16 << 20
 """Longest header, bytes: room for the situations of a large batch."""
 REPLIES = {"act": "acted", "maps": "mapped"}
 """Questions about a batch, and the replies to them."""
-TAGS = ("privileged", "simulator")
-"""What the class of a policy says of itself: that it is shown the ground truth; that it carries a simulator."""
+TAGS = ("privileged", "simulator", "adapted")
+"""What the class of a policy says of itself: that it is shown the ground truth; that it carries a simulator; that it
+was trained on situations that were changed as those of a suite are."""
 _STEP = ("primitive", "embodiment", "task", "step")
 """What a question says of its step."""
 _LENGTH = struct.Struct(">I")

@@ -17,7 +17,8 @@ from evaluator.policy import PolicyFault, PolicyHost, PolicySpec, digest
 from evaluator.policy.output import printable
 from evaluator.report.breakdown import Group, group
 from evaluator.rollout.ask import question
-from evaluator.rollout.backend import default_backend
+from evaluator.rollout.backend import Backend, default_backend
+from evaluator.rollout.blank import showing
 from evaluator.run.run import Row, Run
 from rema_data import grid
 from rema_data.errors import RunMismatchError, SubmissionError
@@ -69,6 +70,7 @@ def ask_scores(
     device: str = "cpu",
     sandbox: str | None = None,
     *,
+    protocol: str = "conditional",
     run: Path | None = None,
     note: Callable[[str], None] | None = None,
 ) -> list[Scored]:
@@ -81,20 +83,21 @@ def ask_scores(
     for number, (situation, _) in enumerate(questions):
         by_step.setdefault((situation.task, situation.step), []).append(number)
     found: dict[int, Scored] = {}
+    backend = showing(default_backend(), protocol)
     with PolicyHost(policy, checkpoint, device, run=run, sandbox=sandbox) as host:
         if note is not None:
             note(f"policy sandbox: {host.isolation}")
         for numbers in by_step.values():
             for start in range(0, len(numbers), BATCH):
                 part = numbers[start : start + BATCH]
-                found.update(zip(part, _ask(host, [questions[number] for number in part]), strict=True))
+                found.update(zip(part, _ask(host, backend, [questions[number] for number in part]), strict=True))
     return [found[number] for number in range(len(questions))]
 
 
-def _ask(host: PolicyHost, questions: Sequence[tuple[Situation, int]]) -> list[Scored]:
+def _ask(host: PolicyHost, backend: Backend, questions: Sequence[tuple[Situation, int]]) -> list[Scored]:
     """Scores of some questions about the same step, put at once."""
     actions = np.array([action for _, action in questions])
-    batch = question(default_backend(), [situation for situation, _ in questions])
+    batch = question(backend, [situation for situation, _ in questions])
     scores = host.maps(batch)
     if isinstance(scores, PolicyFault):
         raise _no_maps(host, scores.detail)

@@ -213,7 +213,9 @@ def _scores(
     answers = []
     if questions:
         policy_options = (options.checkpoint, options.device, options.sandbox)
-        answers = ask_scores(policy, questions, *policy_options, run=run.source, note=progress.note)
+        answers = ask_scores(
+            policy, questions, *policy_options, protocol=run.protocol, run=run.source, note=progress.note
+        )
     progress.advance(len(questions))
     for n, answer in zip((n for n, card in enumerate(cards) if card.take is not None), answers, strict=False):
         cards[n] = with_scores(cards[n], answer)

@@ -43,6 +43,7 @@ class _Policy:
     name: Name
     kind: EntryKind
     link: Link
+    adapted: bool = False  # not written where it is not
 
 
 @record
@@ -67,7 +68,7 @@ def encode(run: Run) -> bytes:
     mark = run.provenance
     content = {
         "format": FORMAT,
-        "policy": {"name": run.policy, "kind": run.tag, "link": run.link},
+        "policy": {"name": run.policy, "kind": run.tag, "link": run.link} | ({"adapted": True} if run.adapted else {}),
         "task": run.task,
         "split": run.split,
         "protocol": run.protocol,
@@ -153,6 +154,7 @@ def read_entry(path: Path) -> Run:
         audit=None,
         isolation=entry.isolation or "",
         link=entry.policy.link,
+        adapted=entry.policy.adapted,
         digest=entry.sha256,
         recorded=actions,
     )

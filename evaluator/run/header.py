@@ -13,7 +13,7 @@ from typing_extensions import TypedDict  # pydantic needs this one before Python
 
 from evaluator.policy.loading import NAME_LENGTH
 from evaluator.policy.named import policy_names
-from evaluator.protocol import PROTOCOLS
+from evaluator.protocol import BLANKED, PROTOCOLS
 from evaluator.run.audit import AuditNumbers
 from rema_data.errors import IntegrityError, MissingFileError
 from rema_data.schema import TASKS
@@ -49,7 +49,7 @@ def _task(name: str) -> str:
 
 
 def _protocol(name: str) -> str:
-    if name not in PROTOCOLS:
+    if name not in PROTOCOLS and name not in BLANKED:
         raise ValueError(f"unknown protocol {name!r}")
     return name
 
@@ -85,6 +85,7 @@ class _Policy(TypedDict, total=False):
     class_name: str
     privileged: bool
     simulator: bool
+    adapted: bool
 
 
 @pydantic.with_config(_OPEN)

@@ -6,6 +6,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, NoReturn
 
+from evaluator.policy.named import is_adapted
 from evaluator.run.audit import Audit
 from evaluator.run.check import RunFiles, read_files
 from evaluator.run.entry import read_entry
@@ -74,6 +75,7 @@ def _run(folder: Path, files: RunFiles) -> Run:
         policy=policy.get("name", ""),
         privileged=policy.get("privileged", False),
         kind_of_policy="simulator" if policy.get("simulator") else "",
+        adapted=policy.get("adapted", False) or is_adapted(policy.get("name", "")),
         task=identity["task"],
         split=identity["split"],
         protocol=identity["protocol"],

@@ -74,6 +74,8 @@ class Run:
     link: str = ""  # where to read about the policy; empty for run folders
     # what an entry, or the class of the policy, says it is; empty for other run folders and entries of format 1
     kind_of_policy: str = ""
+    # trained on situations that were changed as those of a suite are: ranked apart in a suite
+    adapted: bool = False
     digest: str = ""  # sha256 of an entry
     # how it is known that the actions give these outcomes: ``here`` (simulated on this machine) or ``record`` (one that
     # comes with rema); empty where nobody knows
@@ -155,6 +157,11 @@ class Run:
     def suite(self) -> str:
         """The generalisation suite that it was played over; empty for clean scenarios, and lists that are not here."""
         return self.version if self.version and self.version in suites() else ""
+
+    @property
+    def setting(self) -> str:
+        """The suite that it was played over, or its protocol: a part of the name of its entry."""
+        return self.suite or self.protocol
 
     @property
     def fresh(self) -> bool:

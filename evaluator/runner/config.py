@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from evaluator.engines import check_engine
-from evaluator.protocol import AUDIT_SHARE, MAX_BATCH, PROTOCOLS
+from evaluator.protocol import AUDIT_SHARE, MAX_BATCH, check_protocol
 from rema_data.errors import InputError
 from rema_data.schema import check_task
 
@@ -46,11 +46,9 @@ class EvaluationConfig:
 
     def __post_init__(self) -> None:
         check_task(self.task)
-        for name, allowed in (("protocol", PROTOCOLS), ("order", ORDERS)):
-            if getattr(self, name) not in allowed:
-                raise InputError(
-                    f"unknown {name} {getattr(self, name)!r}", hint=f"choose one of: {', '.join(allowed)}", field=name
-                )
+        check_protocol(self.protocol)
+        if self.order not in ORDERS:
+            raise InputError(f"unknown order {self.order!r}", hint=f"choose one of: {', '.join(ORDERS)}", field="order")
         check_engine(self.engine, self.workers, self.address)
         for name in ("episodes", "batch_size"):
             value = getattr(self, name)

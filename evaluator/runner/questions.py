@@ -15,9 +15,10 @@ from evaluator.rollout.backend import Backend, PolicyProcess
 from evaluator.run.records import Ledger
 from evaluator.runner.observation_cache import Block, ObservationCache
 from evaluator.sim.observation import observation_sha256
+from evaluator.statistics import clopper_pearson
 from rema_data.errors import IntegrityError, PolicyFailureError
 from rema_data.progress import Progress
-from rema_data.schema import Observation, Situation
+from rema_data.schema import Situation
 
 __all__ = ["Batch", "batches", "check_faults", "infer_batches", "observe_batches", "shuffled"]
 
@@ -72,12 +73,40 @@ def shuffled(wanted: Sequence[Batch], salt: str) -> list[Batch]:
 
 
 def observe_batches(cache: ObservationCache, wanted: Sequence[Batch], progress: Progress) -> None:
-    """Put the blocks of ``wanted`` into the cache, one at a time."""
+    """Put the blocks of ``wanted`` into the cache, one at a time; those of a suite are compared with the frozen maps.
+
+    An IntegrityError ends it at the first block that leaves no doubt that this machine makes other maps.
+    """
     blocks = list({batch.block: None for batch in wanted})
     progress.phase("observe", sum(len(block) for block in blocks))
+    compared = others = 0
     for block in blocks:
         cache.ensure(block)
+        if frozen := {row: seen for row, one in enumerate(block) if (seen := _frozen(one))}:
+            found = cache.load(block)
+            compared += len(frozen)
+            others += sum(observation_sha256(found.observation(row)) != seen for row, seen in frozen.items())
+            if clopper_pearson(others, compared)[0] > FLIP_LIMIT:
+                raise _other_maps(others, compared)
         progress.advance(len(block))
+    if others > FLIP_LIMIT * compared:
+        raise _other_maps(others, compared)
+    if others:
+        progress.note(f"{others:,} of {compared:,} observations differ from the frozen ones, by rounding")
+
+
+def _frozen(situation: Situation) -> str:
+    """sha256 of the maps that its list was frozen with; clean lists do not say."""
+    return "" if situation.variation is None else situation.variation.seen
+
+
+def _other_maps(others: int, compared: int) -> IntegrityError:
+    return IntegrityError(
+        f"{others:,} of {compared:,} observations are not those that the suite was frozen with",
+        hint="this machine works the noise out differently: use the numpy and scipy that rema was released with",
+        others=others,
+        compared=compared,
+    )
 
 
 def infer_batches(
@@ -92,31 +121,14 @@ def infer_batches(
     progress.phase("infer", sum(len(batch.indices) for batch in wanted))
     block: Block | None = None
     loaded: tuple[Situation, ...] = ()
-    asked = others = 0
     for batch in wanted:
         if block is None or loaded is not batch.block:
             block, loaded = cache.load(batch.block), batch.block
         observations = [block.observation(row) for row in batch.rows]
-        asked, others = asked + len(observations), others + _others(batch.situations, observations)
         record_answers(policy, backend, batch.indices, batch.situations, ledger, observations)
         progress.advance(len(batch.indices))
         if len(ledger.answers) >= FAULT_CHECK:
             check_faults(ledger)
-    if others > FLIP_LIMIT * asked:
-        raise IntegrityError(
-            f"{others:,} of {asked:,} observations are not those that the suite was frozen with",
-            hint="this machine works the noise out differently: use the numpy and scipy that rema was released with",
-            others=others,
-            asked=asked,
-        )
-    if others:
-        progress.note(f"{others:,} of {asked:,} observations differ from the frozen ones, by rounding")
-
-
-def _others(situations: Sequence[Situation], observations: Sequence[Observation]) -> int:
-    """How many observations are not those that their list was frozen with; clean lists do not say."""
-    frozen = ("" if one.variation is None else one.variation.seen for one in situations)
-    return sum(known not in ("", observation_sha256(seen)) for known, seen in zip(frozen, observations, strict=True))
 
 
 def check_faults(ledger: Ledger) -> None:

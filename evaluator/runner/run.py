@@ -13,7 +13,9 @@ import pyarrow as pa
 
 from evaluator.engines import make_engine
 from evaluator.engines.child import call_in_child
+from evaluator.policy.wire import TAGS
 from evaluator.rollout.backend import Backend, PolicyProcess, check_digest, default_backend
+from evaluator.rollout.blank import showing
 from evaluator.rollout.simulate import check_infrastructure, pending_jobs, simulate_jobs
 from evaluator.run.folder import RunFolder
 from evaluator.run.plan import Plan
@@ -96,6 +98,7 @@ class _Run:
         look: Look | None,
     ) -> None:
         self.config, self.progress, self.backend = config, progress, backend
+        self.shown = showing(backend, config.protocol)
         self.scenarios, self.folder, self.start, self.look = scenarios, folder, start, look
         self.plan = Plan(scenarios.scenarios[: config.episodes], config.task, config.protocol)
         self.ledger = Ledger(folder.records, folder.segment)
@@ -183,7 +186,7 @@ class _Run:
                 )
 
     def _ask(self, step: int, alive: dict[int, Situation]) -> None:
-        config, backend = self.config, self.backend
+        config, backend = self.config, self.shown
         wanted = [
             batch
             for batch in batches(alive, config.batch_size)
@@ -214,7 +217,7 @@ class _Run:
 
     def _note_policy(self, policy: PolicyProcess) -> None:
         check_digest(policy, self.config.policy.name, self.folder.header["identity"]["policy_digest"])
-        for tag in ("privileged", "simulator"):
+        for tag in TAGS:
             found, known = getattr(policy, tag, False), self.folder.header["policy"].get(tag)
             if known not in (None, found):
                 raise SubmissionError(
@@ -243,7 +246,7 @@ class _Run:
             if unasked:
                 with self._open_policy() as policy:
                     self._note_policy(policy)
-                    for count in ask_again(policy, backend, wanted, config.batch_size, again):
+                    for count in ask_again(policy, self.shown, wanted, config.batch_size, again):
                         self.progress.advance(count)
             if jobs:
                 simulate_jobs(

@@ -13,6 +13,7 @@ import io
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -39,7 +40,7 @@ from rema_data.schema import (
 )
 from rema_data.storage import rema_home, write_atomic
 from rema_data.validation import validated
-from rema_data.variation import compact, variation_from_dict
+from rema_data.variation import Variation, compact, variation_from_dict
 
 __all__ = [
     "ScenarioList",
@@ -260,9 +261,13 @@ def load_list(task: str, split: str = "test", version: str | None = None) -> Sce
             hint=f"use a version that is there, or restore it: {restore(path.parent)}",
             path=str(path),
         )
-    lists, version = read_manifest(
+    lists, named = read_manifest(
         path, "scenario manifest", lambda content: (dict(content["lists"]), str(content["version"]))
     )
+    if named != version:
+        raise IntegrityError(
+            f"{path} says that it is of version {named!r:.80}, not {version}", hint=restore(path), path=str(path)
+        )
     entry = lists.get(f"{task}/{split}")
     if entry is None:
         raise InputError(
@@ -309,7 +314,7 @@ def _read(path: Path, listed: _Entry, task: str, split: str) -> tuple[Scenario, 
         )
     try:
         return _scenarios(table, task, split)
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise IntegrityError(
             f"scenario list {path} holds a scenario that cannot be: {error}", hint=restore(path), path=str(path)
         ) from error
@@ -318,6 +323,28 @@ def _read(path: Path, listed: _Entry, task: str, split: str) -> tuple[Scenario, 
 def decode_list(payload: bytes, count: int, task: str, split: str) -> tuple[Scenario, ...]:
     """Inverse of ``encode_list``; a ValueError, KeyError or TypeError for anything else."""
     return _scenarios(parquet_table(payload, count), task, split)
+
+
+def _variation(text: str) -> Variation:
+    """What a scenario of a suite changes; ValueError, KeyError, TypeError or RecursionError for anything else."""
+    try:
+        _variation_form().validate_json(text, strict=True)
+    except pydantic.ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join(map(str, first["loc"])) or "it"
+        raise ValueError(f"what it changes is not known: {where}: {first['msg']}") from error
+    return variation_from_dict(
+        json.loads(text, parse_constant=_not_finite)
+    )  # which refuses names that it does not know
+
+
+@cache
+def _variation_form() -> pydantic.TypeAdapter[Variation]:
+    return pydantic.TypeAdapter(Variation)
+
+
+def _not_finite(text: str) -> float:
+    raise ValueError(f"{text} is no quantity")
 
 
 def _scenarios(table: pa.Table, task: str, split: str) -> tuple[Scenario, ...]:
@@ -337,7 +364,7 @@ def _scenarios(table: pa.Table, task: str, split: str) -> tuple[Scenario, ...]:
     steps = len(TASKS[task])
     pinches = held.pop("pinch", [None] * table.num_rows)
     texts: list[str | None] = columns.get(_VARIATION, [None] * table.num_rows)
-    variations = [None if text is None else variation_from_dict(json.loads(text)) for text in texts]
+    variations = [None if text is None else _variation(text) for text in texts]
     rows = zip(
         columns["index"],
         zip(*held.values(), strict=True),

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from evaluator.scenarios.axes import AXES
 from evaluator.scenarios.lists import VERSION, ScenarioList, installed_list, manifest_path, versions
-from rema_data.errors import InputError
+from rema_data.errors import InputError, IntegrityError
 
 __all__ = ["SUITE", "Cell", "cells", "cells_of", "suite_length", "suites"]
 
@@ -53,10 +53,19 @@ def cells(task: str) -> list[Cell]:
 
 
 def cells_of(listed: ScenarioList) -> dict[Cell, list[int]]:
-    """The indices of the scenarios of every cell of a suite's list; empty for a clean list."""
+    """The indices of the scenarios of every cell of a suite's list, none of a clean list.
+
+    IntegrityError for an axis that is not known here.
+    """
     found: dict[Cell, list[int]] = {}
     for scenario in listed.scenarios:
         if scenario.variation is not None:
             key = Cell(listed.task, scenario.variation.axis, scenario.variation.level)
+            if key.axis not in AXES:
+                raise IntegrityError(
+                    f"the {listed.task} list of {listed.version} has an axis that is not known here: {key.axis!r:.80}",
+                    hint="install the version of rema that the suite belongs to",
+                    axis=key.axis,
+                )
             found.setdefault(key, []).append(scenario.index)
     return dict(sorted(found.items(), key=lambda item: (AXES[item[0].axis].number, item[0].level)))

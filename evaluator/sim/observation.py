@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -61,7 +62,15 @@ def observation_sha256(seen: Observation) -> str:
 
 
 def paint_parts(parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:
-    """Depth (uint16, 0.1 mm above the lowest allowed point, cut at 5 cm) and mask of one state, each (112, 112)."""
+    """Depth (uint16, 0.1 mm above the lowest allowed point, cut at 5 cm) and mask of one state, each (112, 112).
+
+    Not to be written to: bare hands are those of many situations, and are painted once.
+    """
+    return _painted(tuple(parts))
+
+
+@lru_cache(maxsize=64)
+def _painted(parts: tuple[Part, ...]) -> tuple[np.ndarray, np.ndarray]:
     floor = min(part.bottom_m for part in parts if part.allowed)
     depth = np.zeros((EE_PIXELS, EE_PIXELS), np.uint16)
     allowed = np.zeros((EE_PIXELS, EE_PIXELS), np.uint16)
@@ -72,7 +81,9 @@ def paint_parts(parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:
         paint(depth, part.rect, top, EE_HALF_M)
         if part.allowed:
             paint(allowed, part.rect, top, EE_HALF_M)
-    return depth, (allowed > 0) & (allowed >= depth)
+    mask = (allowed > 0) & (allowed >= depth)
+    depth.flags.writeable = mask.flags.writeable = False
+    return depth, mask
 
 
 def end_effector_states(situation: Situation, p: WorldParameters = WORLD) -> tuple[list[Part], list[Part]]:

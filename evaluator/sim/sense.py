@@ -45,11 +45,13 @@ def _seen(heights: Array, sense: Sense, stream: int) -> Array:
     if sense.block > 1:
         seen = _averaged(seen, sense.block)
     if sense.edges:
-        seen = _edges(seen, sense.edges, rng)
+        _damage_edges(seen[_around_things(heights, sense.block)], sense.edges, rng)
     if sense.noise_m:
-        seen += _noise(len(seen), rng) * np.float32(sense.noise_m / HEIGHT_STEP_M)
-    rounded: Array = np.clip(np.rint(seen), 0, _HIGHEST).astype(np.uint16)
-    return rounded
+        noise = _noise(len(seen), rng)
+        noise *= np.float32(sense.noise_m / HEIGHT_STEP_M)
+        seen += noise
+    np.rint(seen, out=seen)
+    return np.clip(seen, 0, _HIGHEST, out=seen).astype(np.uint16)
 
 
 def _averaged(heights: Array, block: int) -> Array:
@@ -61,22 +63,30 @@ def _averaged(heights: Array, block: int) -> Array:
     return whole
 
 
-def _edges(heights: Array, share: float, rng: np.random.Generator) -> Array:
+def _around_things(heights: Array, margin: int) -> tuple[slice, ...]:
+    """Where a map is not flat, with a margin in pixels: the rest, which is most of it, has no edges."""
+    used = (np.flatnonzero(heights.max(axis=axis)) for axis in (1, 0))
+    return tuple(slice(max(0, own[0] - margin), own[-1] + 1 + margin) if len(own) else slice(0) for own in used)
+
+
+def _damage_edges(seen: Array, share: float, rng: np.random.Generator) -> None:
     """Of a share of the pixels at edges, half are lost and half fly somewhere between the heights around them."""
-    low, high = _around(heights, np.minimum), _around(heights, np.maximum)
+    low, high = _around(seen, np.minimum), _around(seen, np.maximum)
     edge = np.flatnonzero(high - low > EDGE_M / HEIGHT_STEP_M)
     hit = edge[rng.random(len(edge), np.float32) < share]
     lost, place = rng.random((2, len(hit)), np.float32)
-    seen, low, high = heights.ravel().copy(), low.ravel()[hit], high.ravel()[hit]
-    seen[hit] = np.where(lost < 0.5, 0, low + place * (high - low))
-    return seen.reshape(heights.shape)
+    low, high = low.ravel()[hit], high.ravel()[hit]
+    seen.flat[hit] = np.where(lost < 0.5, 0, low + place * (high - low))
 
 
 def _around(heights: Array, extreme: np.ufunc) -> Array:
     """The lowest or highest of each pixel and its eight neighbours."""
-    padded = np.pad(heights, 1, mode="edge")
-    rows = extreme(extreme(padded[:-2], padded[1:-1]), padded[2:])
-    found: Array = extreme(extreme(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:])
+    rows = heights.copy()
+    extreme(rows[1:], heights[:-1], out=rows[1:])
+    extreme(rows[:-1], heights[1:], out=rows[:-1])
+    found = rows.copy()
+    extreme(found[:, 1:], rows[:, :-1], out=found[:, 1:])
+    extreme(found[:, :-1], rows[:, 1:], out=found[:, :-1])
     return found
 
 
@@ -84,9 +94,11 @@ def _noise(pixels: int, rng: np.random.Generator) -> Array:
     """Errors of unit variance, float32 (pixels, pixels): every pixel's own, and one that neighbours share."""
     between = _interpolation(pixels)
     points = between.shape[1]
-    shared = between @ rng.standard_normal((points, points), np.float32) @ between.T
-    own = rng.standard_normal((pixels, pixels), np.float32)
-    mixed: Array = np.float32((1 - SHARED) ** 0.5) * own + np.float32(SHARED**0.5) * shared
+    shared: Array = between @ rng.standard_normal((points, points), np.float32) @ between.T
+    mixed: Array = rng.standard_normal((pixels, pixels), np.float32)
+    mixed *= np.float32((1 - SHARED) ** 0.5)
+    shared *= np.float32(SHARED**0.5)
+    mixed += shared
     return mixed
 
 

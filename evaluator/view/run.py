@@ -11,6 +11,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from evaluator.protocol import protocol_hash
+from evaluator.rollout.blank import as_shown
 from evaluator.rollout.episode import first_step
 from evaluator.run.plan import scenario_list
 from evaluator.run.reading import read_run
@@ -103,7 +104,7 @@ class RunSource(Source):
                 f"played again here, {self.table.ids[place]} ends at step {situation.step + 1}",
                 hint=f"compare the simulators: rema replay {self._run.source}",
             )
-        return Seen(situation, observe(situation))
+        return Seen(situation, as_shown(observe(situation), self._run.protocol))
 
     def take(self, place: int, step: int, films: FilmMaker) -> Take:
         (row,) = self._run.table.slice(place, 1).to_pylist()

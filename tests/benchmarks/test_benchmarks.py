@@ -76,6 +76,15 @@ def test_speed_and_its_page(tmp_path: Path) -> None:
 
 
 @pytest.mark.benchmark
+def test_noisy_observations_are_the_frozen_ones(tmp_path: Path) -> None:
+    content = measured(tmp_path, "noise", "--tasks", "push", "--count", "12", "--repeats", "1")
+    rows = content["numbers"]["axes"]
+    assert rows["push sense"]["observations_per_second"] > 0
+    assert all(row["other_maps"] == 0 for row in rows.values())
+    assert "## Observations with the noise of a camera" in page(tmp_path)
+
+
+@pytest.mark.benchmark
 def test_memory(tmp_path: Path) -> None:
     content = measured(tmp_path, "memory", "--episodes", "20", "--engine-episodes", "60")
     assert content["numbers"]["two_workers_mb"] > 0

@@ -26,7 +26,7 @@ from evaluator.sim.bullet import decisive
 from rema_data.errors import InputError
 from rema_data.progress import Silent
 from rema_data.schema import TASKS
-from tests.evaluator.runs import solved, use_installation, write_entry, write_run
+from tests.evaluator.runs import solved, use_installation, write_entry, write_run, write_suite
 
 ENTRIES = Path(__file__).resolve().parents[2] / "manifests" / "leaderboard"
 SAMPLE = 5
@@ -37,7 +37,7 @@ def test_every_entry_of_the_repository_is_whole_and_the_only_one_of_its_name() -
     assert (ENTRIES / "README.md").is_file()
     found = [read_entry(path) for path in find_entries()]
     assert sorted(ENTRIES.glob("*.json")) == [run.source for run in found]
-    names = [f"{run.policy}-{run.task}-{run.protocol}.json" for run in found]
+    names = [f"{run.policy}-{run.task}-{run.setting}.json" for run in found]
     assert names == [run.source.name for run in found]
 
 
@@ -54,7 +54,7 @@ def test_the_board_has_the_four_rows_of_the_papers_table_in_every_task() -> None
     tasks = [task for task in TASKS if task != "grasp_grasp_push"]  # which the paper does not score
     wanted = {(policy, task, "conditional") for policy in POLICIES for task in tasks}
     wanted |= {(policy, task, "end-to-end") for policy in POLICIES for task in tasks if len(TASKS[task]) > 1}
-    runs = {(run.policy, run.task, run.protocol): run for run in (known(read_entry(path)) for path in find_entries())}
+    runs = {(run.policy, run.task, run.setting): run for run in (known(read_entry(path)) for path in find_entries())}
     assert wanted <= runs.keys()
     for key in wanted:
         assert len(runs[key].outcomes.success) == 10_000, key
@@ -131,6 +131,26 @@ def test_a_section_has_every_ranked_policy(tmp_path: Path, monkeypatch: pytest.M
     assert text.index("**Conditional**") < text.index("**End-to-end**")
     page = replace_section(f"# Title\n\n{START}\nold\n{END}\n\nrest\n", text)
     assert "old" not in page and page.endswith(f"{END}\n\nrest\n") and replace_section(page, text) == page
+
+
+def test_a_section_has_hard_where_a_policy_was_played_over_a_suite(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use_installation(tmp_path, monkeypatch)
+    write_suite(tmp_path / "manifests")
+    for name, suite in (("mine", None), ("other", None), ("mine", "tough-v1")):
+        folder = write_run(
+            tmp_path / f"{name}-{suite}",
+            solved(0.9, 2, 180) if suite else solved(0.8, len(name)),
+            policy=name,
+            suite=suite,
+        )
+        write_entry(tmp_path / "manifests" / "leaderboard" / f"{folder.name}.json", folder)
+    rows = {line.split(" | ")[0]: line.split(" | ") for line in section().splitlines() if line.startswith("| ")}
+    assert rows["| policy"][2:] == ["grasp", "grasp hard |"]
+    assert re.fullmatch(r"9\d\.\d \[8\d\.\d, 9\d\.\d\] \|", rows["| mine"][3])
+    assert rows["| other"][3] == "- |"
+    assert "hard" in section().splitlines()[-1]
 
 
 def test_a_page_without_markers_is_left_alone() -> None:

@@ -7,10 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from evaluator.policy.named import is_adapted
+from evaluator.policy.shipped import shipped_policies
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, parse_manifest
 from rema_data.release.registry import published
 from rema_data.storage import file_sha256
+from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS
 
 ROOT = Path(__file__).parents[2]
 RELEASES = ROOT / "releases"
@@ -46,3 +49,9 @@ def test_every_network_names_the_release_that_it_learned_from() -> None:
         card = json.loads(path.read_text())
         assert file_sha256(path.with_suffix(".safetensors")) == card["sha256"], path
         assert releases[card["release"]].manifest.sha256 == card["release_sha256"], path
+
+
+def test_the_shipped_networks_are_clean_trained() -> None:
+    """A release has no place for a changed situation; what learns from one that has it is adapted."""
+    assert not {"variation", "axis", "level"} & {column.name for column in (*EPISODE_COLUMNS, *STEP_COLUMNS)}
+    assert shipped_policies() and not any(map(is_adapted, shipped_policies()))

@@ -160,7 +160,8 @@ def write_run(
     verified : bool
         Whether this installation remembers that it simulated the run.
     **summary
-        Changes of ``end`` in ``run.json``, of ``privileged``, ``simulator`` and ``isolation``; or else of the summary.
+        Changes of ``end`` in ``run.json``, of ``privileged``, ``simulator``, ``adapted`` and ``isolation``; or else of
+        the summary.
     """
     steps = acting_steps(task, protocol)
     passed = [success] if isinstance(success, np.ndarray) else list(success)
@@ -180,7 +181,7 @@ def write_run(
         **(identity or {}),
     }
     privileged = bool(summary.pop("privileged", False))
-    tags = {"simulator": True} if summary.pop("simulator", False) else {}
+    tags = {tag: True for tag in ("simulator", "adapted") if summary.pop(tag, False)}
     header = {
         "format": RUN_FORMAT,
         "identity": {"task": task, "split": split, "protocol": protocol, **marks},

@@ -191,6 +191,19 @@ def _other_values(kind: pa.DataType, count: int, rng: Rng) -> pa.Array:
     return pa.array([int((limits.min, limits.max, 0, 1)[int(rng.integers(4))])] * count, kind)
 
 
+def forged_variation(data: bytes, rng: Rng) -> bytes:
+    """A list of a suite with one place changed in what one of its scenarios changes."""
+    table = pq.read_table(io.BytesIO(data))
+    texts = table.column("variation").to_pylist()
+    at = int(rng.integers(len(texts)))
+    texts[at] = _text(_forged(json.loads(texts[at]), rng)).encode("utf-8", "surrogatepass").decode("utf-8", "replace")
+    place = table.schema.get_field_index("variation")
+    table = table.set_column(place, table.schema.field(place), pa.array(texts, pa.string()))
+    buffer = io.BytesIO()
+    pq.write_table(table, buffer, compression="zstd")
+    return buffer.getvalue()
+
+
 def forged_npz(data: bytes, rng: Rng) -> bytes:
     """An archive with an array of another shape or type, one of them without the data that it announces."""
     with np.load(io.BytesIO(data)) as archive:
@@ -220,6 +233,7 @@ FORGERIES: dict[str, Callable[[bytes, Rng], bytes]] = {
     "journal": forged_journal,
     "toml": forged_toml,
     "parquet": forged_parquet,
+    "variation": forged_variation,
     "npz": forged_npz,
 }
 """How content of another shape is made, by the kind of file."""

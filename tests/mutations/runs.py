@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,11 @@ from evaluator.engines.base import InfraError
 from evaluator.leaderboard.published import published_table
 from evaluator.run.records import Answered, Ledger, Simulated
 from evaluator.runner.observation_cache import ObservationCache
-from evaluator.scenarios import load_list
-from rema_data.schema import Failure, StepOutcome
+from evaluator.scenarios import load_list, update_manifest, write_list
+from evaluator.scenarios.lists import decode_list
+from evaluator.scenarios.suites import cells_of, suite_length
+from evaluator.sim.observation import observation_sha256, observe
+from rema_data.schema import Failure, Scenario, StepOutcome
 from tests.evaluator.fakes import fake_observe, fake_scenario
 from tests.evaluator.runs import MANIFESTS, solved, write_manifests, write_run
 from tests.mutations.data import sha256
@@ -100,6 +104,33 @@ def name_list(folder: Path, file: Path) -> None:
         manifest.write_text(json.dumps(content, indent=2) + "\n")
 
 
+SUITE = "small-v1"
+
+
+def make_suite(folder: Path) -> None:
+    """Two scenarios of every cell of a frozen list, and their manifest."""
+    frozen, manifest = MANIFESTS / "scenarios" / "hard-v1", folder / "manifests" / "scenarios" / SUITE / "manifest.json"
+    content = json.loads((frozen / "manifest.json").read_bytes())
+    scenarios = decode_list((frozen / "grasp_val.parquet").read_bytes(), content["lists"]["grasp/val"]["count"], *GRASP)
+    cells: dict[tuple[str, int], list[Scenario]] = {}
+    for one in scenarios:
+        assert one.variation is not None
+        cells.setdefault((one.variation.axis, one.variation.level), []).append(one)
+    few = [one for own in cells.values() for one in own[:2]]
+    sha256 = write_list(manifest.with_name("grasp_val.parquet"), [replace(one, index=n) for n, one in enumerate(few)])
+    manifest.write_text(json.dumps({**content, "version": SUITE, "lists": {}}, indent=2) + "\n")
+    about = {"file": "grasp_val.parquet", "sha256": sha256, "count": len(few), "seed_domain": "x"}
+    update_manifest(manifest, SUITE, "grasp/val", **about)  # type: ignore[arg-type]
+
+
+def read_suite(folder: Path) -> Any:
+    """As an evaluation does: the list, its cells, and what a policy would see."""
+    listed = load_list(*GRASP, SUITE)
+    seen = [observation_sha256(observe(one.last_situation())) for one in listed.scenarios]
+    return {"list": listed, "length": suite_length(SUITE, *GRASP), "cells": cells_of(listed), "seen": seen}
+
+
+GRASP = ("grasp", "val")
 SITUATIONS = [fake_scenario("grasp", n).first_situation() for n in range(6)]
 
 
@@ -135,6 +166,17 @@ PARSERS = (
         lambda folder: load_list("grasp_push"),
         ("manifests/scenarios/**/*",),
         {"manifests/scenarios/**/manifest.json": "json", "manifests/scenarios/**/*grasp_push*.parquet": "parquet"},
+        name_list,
+    ),
+    Parser(
+        "suite list",
+        make_suite,
+        read_suite,
+        (f"manifests/scenarios/{SUITE}/*",),
+        {
+            f"manifests/scenarios/{SUITE}/manifest.json": "json",
+            f"manifests/scenarios/{SUITE}/grasp_val.parquet": "variation",
+        },
         name_list,
     ),
     Parser(

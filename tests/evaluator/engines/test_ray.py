@@ -24,6 +24,7 @@ from tests.baselines.rounds.fakes import collect_fake, tree, write_plan
 from tests.evaluator.engines.cluster_world import CLUSTER_SIMULATOR, OTHER_MACHINES
 from tests.evaluator.engines.conftest import MACHINE
 from tests.evaluator.fakes import FakeSimulator, fake_backend, fake_config, fake_fingerprint, fake_jobs
+from tests.evaluator.runs import write_suite
 
 pytestmark = pytest.mark.usefixtures("cluster", "order")
 
@@ -146,6 +147,36 @@ def test_the_real_world_on_a_machine_that_is_killed(
         run_evaluation(config, sink)
         tables.append((tmp_path / engine / "results.parquet").read_bytes())
     assert killer.done and any("was redone" in note for note in killer.notes)
+    assert tables[0] == tables[1]
+
+
+def test_a_suite_has_the_same_bytes(fake_home: Path) -> None:
+    """What a scenario changes travels with it: the outcomes of the fake world follow from all of it."""
+    count = len(write_suite(fake_home / "manifests"))
+    for engine, world in (("inline", fake_backend()), ("ray", fake_backend(simulator=CLUSTER_SIMULATOR))):
+        config = fake_config(fake_home / engine, version="tough-v1", episodes=count, engine=engine, workers=1)
+        run_evaluation(config, backend=world)
+    inline, ray = ((fake_home / name / "results.parquet").read_bytes() for name in ("inline", "ray"))
+    assert inline == ray
+
+
+@pytest.mark.slow
+def test_a_frozen_suite_has_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("REMA_HOME", str(tmp_path / "home"))
+    tables = []
+    for engine in ("inline", "ray"):
+        config = EvaluationConfig(
+            resolve("scripted"),
+            "grasp",
+            tmp_path / engine,
+            split="val",
+            version="hard-v1",
+            episodes=12,
+            engine=engine,
+            workers=1,
+        )
+        run_evaluation(config)
+        tables.append((tmp_path / engine / "results.parquet").read_bytes())
     assert tables[0] == tables[1]
 
 

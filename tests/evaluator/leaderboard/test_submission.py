@@ -54,8 +54,8 @@ def failed(folder: Path) -> list[str]:
     return names
 
 
-def entry_of(folder: Path, name: str = "", link: str = "", *, simulator: bool = False) -> Run:
-    return make_entry(inspect_run(folder), name, link, simulator=simulator)
+def entry_of(folder: Path, name: str = "", link: str = "", **declared: bool) -> Run:
+    return make_entry(inspect_run(folder), name, link, **declared)
 
 
 def play(folder: Path, task: str = "grasp", protocol: str = "conditional") -> Path:
@@ -239,6 +239,21 @@ def test_names_and_kinds_that_are_ones_own(tmp_path: Path) -> None:
     assert entry_of(said).tag == "simulator" == entry_of(said, "renamed").tag
     privileged = write_run(tmp_path / "sees", solved(0.4, 3), policy="sees", privileged=True)
     assert entry_of(privileged).tag == "privileged"
+
+
+@pytest.mark.usefixtures("confirmed")
+def test_an_entry_says_what_its_policy_was_trained_on(tmp_path: Path) -> None:
+    folder = write_run(tmp_path / "run", solved(0.4, 3))
+    clean, declared = entry_of(folder), entry_of(folder, adapted=True)
+    assert "adapted" not in json.loads(encode(clean))["policy"]
+    assert not clean.adapted and declared.adapted
+    said = entry_of(write_run(tmp_path / "said", solved(0.4, 3), policy="said", adapted=True))
+    for entry in (clean, declared, said):
+        (tmp_path / "entry.json").write_bytes(encode(entry))
+        assert read_run(tmp_path / "entry.json").adapted == entry.adapted
+    built_in = write_run(tmp_path / "random", solved(0.1, 3), policy="random")
+    with pytest.raises(SubmissionError, match="installed as clean-trained"):
+        entry_of(built_in, adapted=True)
 
 
 @pytest.mark.usefixtures("confirmed")

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 from evaluator.cli.main import cli
 from evaluator.leaderboard import leaderboard
 from evaluator.leaderboard.comparison import compare
+from evaluator.leaderboard.export import COLUMNS, cells
 from evaluator.leaderboard.suite_tables import suite_tables
 from evaluator.leaderboard.verification import known
 from evaluator.report.breakdown import breakdowns
@@ -70,6 +71,28 @@ def test_a_part_of_a_suite_has_no_rank(runs: list[Path], tmp_path: Path) -> None
     assert row.rank is None and row.unranked == "50 of 180 scenarios" and row.score.hard is None
 
 
+def test_policies_that_were_trained_on_changed_situations_are_ranked_apart(runs: list[Path], tmp_path: Path) -> None:
+    for name, seed in (("best", 11), ("nearly", 12)):
+        write_run(tmp_path / name, solved(0.95, seed, COUNT), policy=name, suite="tough-v1", adapted=True)
+    board = leaderboard([*runs, tmp_path / "best", tmp_path / "nearly"], published=False)
+    alone = leaderboard(runs, published=False)
+    assert [row for row in board.suites if not row.adapted] == list(alone.suites)
+    assert {row.policy: row.rank for row in board.suites if row.adapted} == {"best": 1, "nearly": 1}
+    clean, adapted = suite_tables(board, "tough-v1")
+    assert (clean.title, adapted.title) == ("tough-v1: grasp", "tough-v1: grasp, adapted")
+    assert [line[0] for line in clean.lines] == ["good", "same", "poor"] and len(adapted.lines) == 2
+
+
+def test_the_clean_board_says_how_hard_was_reached(runs: list[Path], tmp_path: Path) -> None:
+    made = [
+        write_run(tmp_path / "mine", solved(0.9, 5), policy="mine", adapted=True),
+        write_run(tmp_path / "mine-hard", solved(0.9, 6, COUNT), policy="mine", suite="tough-v1", adapted=True),
+    ]
+    board = leaderboard([*runs, *made], published=False)
+    shown = {row.policy: dict(zip(COLUMNS, cells(row), strict=True))["hard %"] for row in board.rows}
+    assert shown["mine"].endswith(" adapted") and float(shown["good"]) > 50
+
+
 def test_the_table_by_axis(runs: list[Path]) -> None:
     (table,) = suite_tables(leaderboard(runs, published=False), "tough-v1")
     assert table.header[-3:] == ("clutter", "shape", "(posts)")
@@ -90,6 +113,20 @@ def test_from_the_command_line(runs: list[Path], form: str | None) -> None:
         assert len(done.stdout.splitlines()) == 1 + 3 * 9
     else:
         assert "clutter" in done.stdout and "poor" in done.stdout
+
+
+def test_the_pages_have_the_suite(runs: list[Path], tmp_path: Path) -> None:
+    alone = write_run(tmp_path / "alone", solved(0.5, 4, COUNT), policy="alone", suite="tough-v1")
+    arguments = ["leaderboard", *map(str, [*runs, alone]), "--no-entries", "--no-published"]
+    done = CliRunner().invoke(cli, [*arguments, "--export", "site", "--output", str(tmp_path / "site")])
+    assert done.exit_code == 0, done.output
+    index = (tmp_path / "site" / "index.html").read_text()
+    assert "<h2>tough-v1: grasp</h2>" in index and str(tmp_path) not in index
+    for name in ("good", "alone"):
+        (page,) = (tmp_path / "site" / "policies").glob(f"*-{name}.html")
+        assert "tough-v1: grasp, clean-trained, hard" in page.read_text() and "level 3" in page.read_text()
+    rows = json.loads((tmp_path / "site" / "tough-v1.json").read_text())["rows"]
+    assert [row["policy"] for row in rows] == ["good", "same", "alone", "poor"]
 
 
 def test_a_form_that_a_suite_has_not(runs: list[Path]) -> None:

@@ -127,11 +127,12 @@ def test_a_run_holds_one_copy_from_its_beginning_to_its_end(fake_home: Path, spe
         run_evaluation(config, backend=backend)
 
 
-def test_a_simulator_is_recorded(fake_home: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("declared", ["simulator", "adapted"])
+def test_what_a_class_declares_is_recorded(fake_home: Path, tmp_path: Path, declared: str) -> None:
     from evaluator.runner import run_evaluation
 
     runs = fake_home / "runs"
-    for name, tag in (("plain", ""), ("exact", "    simulator = True\n")):
+    for name, tag in (("plain", ""), ("said", f"    {declared} = True\n")):
         path = tmp_path / name / "policy.py"
         path.parent.mkdir()
         path.write_text(CODE.replace("Policy:\n", f"Policy:\n{tag}"))
@@ -141,7 +142,7 @@ def test_a_simulator_is_recorded(fake_home: Path, tmp_path: Path) -> None:
             policy_digest=lambda *given, spec=spec: digest(spec, None),
         )
         run_evaluation(fake_config(runs / name, episodes=4, engine="inline", audit_share=0.0), backend=backend)
-        assert json.loads((runs / name / "run.json").read_text())["policy"]["simulator"] is bool(tag)
+        assert json.loads((runs / name / "run.json").read_text())["policy"][declared] is bool(tag)
 
 
 def test_a_hugging_face_snapshot_as_it_is(write_policy: WritePolicy, tmp_path: Path) -> None:

@@ -52,9 +52,15 @@ def reference(home: Path) -> bytes:
         return evaluated(home / "reference", engine="inline", order="forward")
 
 
-@pytest.mark.parametrize(("workers", "order"), [(1, "shuffled"), (3, "reverse")])
+@pytest.mark.parametrize(("workers", "order"), [(1, "shuffled"), (2, "forward"), (3, "reverse")])
 def test_any_number_of_workers_in_any_order(reference: bytes, home: Path, workers: int, order: str) -> None:
     assert evaluated(home / f"workers{workers}", workers=workers, order=order) == reference
+
+
+def test_a_part_that_is_resumed(reference: bytes, home: Path) -> None:
+    for episodes in (15, EPISODES):
+        found = evaluated(home / "resumed", episodes=episodes, workers=3)
+    assert found == reference
 
 
 def test_every_row_is_simulated_again(reference: bytes, home: Path) -> None:
@@ -66,6 +72,15 @@ def test_other_maps_than_the_frozen_ones_stop_a_run(home: Path, monkeypatch: pyt
     monkeypatch.setattr(questions, "observation_sha256", lambda _: "0" * 64)
     with pytest.raises(IntegrityError, match=f"{EPISODES} of {EPISODES} observations are not those"):
         evaluated(home / "others")
+
+
+def test_a_run_ends_at_the_first_block_of_other_maps(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before the policy is asked anything."""
+    monkeypatch.setattr(questions, "observation_sha256", lambda _: "0" * 64)
+    monkeypatch.setattr(questions, "_BLOCK", 8)
+    with pytest.raises(IntegrityError, match="8 of 8 observations are not those"):
+        evaluated(home / "first", batch_size=8)
+    assert not list((home / "first" / "records").glob("*.jsonl"))
 
 
 def test_a_few_other_maps_are_noted(reference: bytes, home: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from evaluator.scenarios import VERSION, encode_list, load_list, manifest_path, scenario_id, update_manifest
+from evaluator.scenarios import VERSION, encode_list, lists, load_list, manifest_path, scenario_id, update_manifest
+from evaluator.scenarios.suites import cells_of
 from rema_data.errors import InputError, IntegrityError, MissingFileError
 from rema_data.repair import restore
 from rema_data.schema import TASKS
+from rema_data.variation import compact
 from tests.evaluator.fakes import fake_scenario, write_fake_list
+from tests.evaluator.runs import write_suite
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -86,6 +91,41 @@ def test_a_manifest_whose_file_has_too_long_a_name(fake_home: Path) -> None:
     path.write_text(json.dumps(content))
     with pytest.raises(IntegrityError, match=r"grasp/test: file is .* at most 200 characters"):
         load_list("grasp")
+
+
+def test_a_manifest_of_another_version_is_refused(fake_home: Path) -> None:
+    manifest = manifest_path(VERSION)
+    manifest.write_text(manifest.read_text().replace(f'"{VERSION}"', '"v0"'))
+    with pytest.raises(IntegrityError, match="says that it is of version 'v0'"):
+        load_list("grasp")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"level": "1"}, "level: Input should be a valid integer"),
+        ({"wind_m_s": 1.0}, "unexpected keyword argument 'wind_m_s'"),
+        ({"mass_offset_m": [float("nan"), 0.0]}, "NaN is no quantity"),
+        ({"sense": {"seed": 1, "noise_m": "0.1"}}, "sense.noise_m"),
+        ({"others": [{"x_m": 1.0}]}, "others.0.spec"),
+    ],
+)
+def test_a_change_that_is_none_is_refused(
+    fake_home: Path, monkeypatch: pytest.MonkeyPatch, changes: dict[str, Any], words: str
+) -> None:
+    write_suite(fake_home / "manifests")
+    assert cells_of(load_list("grasp", "test", "tough-v1"))
+    monkeypatch.setattr(lists, "compact", lambda variation: compact(variation) | changes)
+    write_suite(fake_home / "manifests", "odd-v1")
+    with pytest.raises(IntegrityError, match=re.escape(words)):
+        load_list("grasp", "test", "odd-v1")
+
+
+def test_an_axis_that_is_not_known_here_is_named(fake_home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lists, "compact", lambda variation: compact(variation) | {"axis": "gravity"})
+    write_suite(fake_home / "manifests", "odd-v1")
+    with pytest.raises(IntegrityError, match="an axis that is not known here: 'gravity'"):
+        cells_of(load_list("grasp", "test", "odd-v1"))
 
 
 def test_lists_that_cannot_be_written() -> None:
