@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -164,10 +164,12 @@ def _gallery_words(run: Run, cards: Sequence[Card], per_label: int) -> dict[str,
 
 def _pictures(run: Run, options: ReportOptions, progress: Progress) -> tuple[list[Card], dict[str, Any]]:
     """The cards of the gallery, and the calibration for the page; or why they are missing."""
+    from evaluator.policy.loading import weights_of
     from evaluator.report.gallery import make_cards
     from evaluator.report.scores import check_policy
 
     if options.policy is not None:
+        options = replace(options, checkpoint=weights_of(options.policy, options.checkpoint, run.task))
         check_policy(run, options.policy, options.checkpoint)
     said: dict[str, Any] = {"gallery_reason": "", "bins": [], "scored": 0}
     try:
