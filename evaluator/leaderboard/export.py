@@ -59,7 +59,7 @@ def cells(row: Row) -> tuple[str, ...]:
     return (
         row.task,
         row.policy,
-        row.tag,
+        _kind(row.tag),
         row.protocol,
         "-" if row.rank is None else str(row.rank),
         _counted(row),
@@ -75,6 +75,11 @@ def cells(row: Row) -> tuple[str, ...]:
         ", ".join(f"{label} {count}" for label, count in failures[:3]),
         row.isolation,
     )
+
+
+def _kind(tag: str) -> str:
+    """A tag as people read it: a learned row is of one checkpoint, and says nothing of the method that trained it."""
+    return "learned checkpoint" if tag == "learned" else tag
 
 
 def _counted(row: Row) -> str:
@@ -126,7 +131,7 @@ def matrix(board: Board, protocol: str) -> tuple[list[str], list[list[str]]]:
         lines[key][row.task] = row
     order = sorted(lines, key=lambda key: (key[0], -max(row.rate or 0.0 for row in lines[key].values()), key))
     return ["policy", "kind", *tasks], [
-        [key[1] + (f" ({key[3]})" if key[3] > 1 else ""), key[2] + (", not verified" if key[0] == 1 else "")]
+        [key[1] + (f" ({key[3]})" if key[3] > 1 else ""), _kind(key[2]) + (", not verified" if key[0] == 1 else "")]
         + [_short(lines[key][task]) if task in lines[key] else "" for task in tasks]
         for key in order
     ]
