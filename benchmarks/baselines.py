@@ -59,6 +59,8 @@ LARGER = PLAN
 """The plan whose cost is projected on the page of a smaller one."""
 ABLATIONS = ("ablation", "ablation_cpu")
 """Results of ``ablation.py``: trained on a GPU, and on a CPU."""
+LATER = {"methods": "Methods: joint against separate", "fine": "What a better policy is made of"}
+"""Results about the networks of ``PLAN``, with their titles."""
 TITLE = """# The learned baselines
 
 The baselines of {plan}. Made from run files, checkpoints and releases by
@@ -141,11 +143,25 @@ def draw_sheet(plan: RecursionPlan, path: Path) -> None:
     draw_maps(network, data.validation, path)
 
 
+def results(*names: str) -> list[str]:
+    """Tables of the result files of those names that are there."""
+    found = [path for name in names if (path := RESULTS / f"{name}.json").is_file()]
+    return ["\n".join(measured(json.loads(path.read_text(encoding="utf-8")))) for path in found]
+
+
 def ablation() -> list[str]:
     """What the success after round 1 depends on, as far as it was measured."""
-    found = [path for name in ABLATIONS if (path := RESULTS / f"{name}.json").is_file()]
-    tables = ["\n".join(measured(json.loads(path.read_text(encoding="utf-8")))) for path in found]
+    tables = results(*ABLATIONS)
     return ["## What round 1 depends on", "Measured with round 1 of rema-v0.", *tables] if tables else []
+
+
+def later(plan: RecursionPlan) -> list[str]:
+    """What was measured with the networks of a plan beside their rates."""
+    parts: list[str] = []
+    for name, title in LATER.items():
+        if plan.path.samefile(PLAN) and (tables := results(name)):
+            parts += [f"## {title}", *tables]
+    return parts
 
 
 def page(plan: RecursionPlan, images: Path) -> str:
@@ -192,6 +208,7 @@ def page(plan: RecursionPlan, images: Path) -> str:
         rates_table(runs, "end-to-end"),
         funnel_table(runs),
         "`rema evaluate POLICY --task TASK --device openvino --protocol end-to-end`: the policy plays every step.",
+        *later(plan),
         "## The networks",
         networks_table(plan),
         f"Made by `rema rounds {where}`. Measured at the recorded actions of the validation split.",
