@@ -83,6 +83,7 @@ python benchmarks/isolation.py --run runs/random-grasp-conditional --json $resul
 python benchmarks/verify_entry.py --check --json $results/verify_entry.json
 python benchmarks/hostile.py --json $results/hostile.json
 python benchmarks/kills.py --json $results/kills.json
+python benchmarks/kills_rounds.py --json $results/kills_rounds.json
 python benchmarks/forgeries.py --json $results/forgeries.json
 python benchmarks/verify_entry.py --check --json $results/verify_entry.json
 python benchmarks/mutations.py --json $results/mutations.json
