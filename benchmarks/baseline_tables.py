@@ -8,10 +8,12 @@ from typing import Any
 
 from scipy.stats import fisher_exact
 
+from baselines.devices import LEARNED
 from baselines.rounds.recursion_plan import RecursionPlan
 from baselines.tae.checkpoint import load_checkpoint
 from benchmarks.results import ROOT
 from evaluator.leaderboard.published import published_rate
+from evaluator.policy.shipped import shipped_policies
 from evaluator.statistics import percent
 from rema_data.release.folder import ReleaseFolder
 from rema_data.schema import TASKS
@@ -62,6 +64,25 @@ def funnel_table(runs: Mapping[str, Summary]) -> str:
             place = f"{step['step'] + 1} of {len(run['funnel'])}"
             rows.append([run["task"], run["policy"], place, f"{step['attempted']:,}", f"{step['succeeded']:,}", share])
     return markdown(["task", "policy", "step", "reached", "succeeded", "rate"], rows)
+
+
+def of_plan(runs: Mapping[str, Summary], plan: RecursionPlan) -> dict[str, Summary]:
+    """The kept runs that a page about a plan shows, by the names that its tables use: ``round-1-grasp-conditional``.
+
+    A run of a learned policy is of the plan where its name begins with the plan's, or with the policy's while networks
+    of the plan ship under it.
+    """
+    shipped = {policy: one.folder.partition("/")[0] for policy, one in shipped_policies().items()}
+    found: dict[str, Summary] = {}
+    for name, run in runs.items():
+        if name.startswith(f"{plan.name}-"):
+            own = name.removeprefix(f"{plan.name}-")
+            found[own if own.startswith("round-") else f"tae-{own}"] = run
+        elif run["policy"] not in LEARNED or (
+            name.startswith(f"{run['policy']}-") and shipped.get(run["policy"]) == plan.name
+        ):
+            found.setdefault(name, run)
+    return dict(sorted(found.items()))
 
 
 def by_round(runs: Mapping[str, Summary], plan: RecursionPlan) -> dict[str, dict[int, Summary]]:

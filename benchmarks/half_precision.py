@@ -1,6 +1,6 @@
 """What networks stored in half precision cost: decisions that change, and outcomes that change with them.
 
-    python benchmarks/half_precision.py --checkpoint releases/checkpoints/rema-v0/joint
+    python benchmarks/half_precision.py --checkpoint releases/checkpoints/rema-v1/joint
 
 Weights are rounded to float16, the statistics of batch normalisations are not: the variances of what comes out of a
 cross-convolution, a sum of thousands of products, can be larger than any float16. Both decide the last step of the

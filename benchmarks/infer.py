@@ -1,6 +1,6 @@
 """Inference speed: decisions a second of the learned policy, against all rotations evaluated without any sharing.
 
-    python benchmarks/infer.py --checkpoint releases/checkpoints/rema-v0/joint
+    python benchmarks/infer.py --checkpoint releases/checkpoints/rema-v1/joint
     python benchmarks/infer.py --checkpoint FOLDER --scenarios 100 --runtimes
 
 Plain: every scene with every angle goes through the whole network, as it was trained, 16 pairs at a time. All score

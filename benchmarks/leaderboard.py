@@ -28,9 +28,10 @@ END = "<!-- end of leaderboard -->"
 NOTE = (
     "Success, % [95 % interval], over the 10,000 test scenarios of a task. Policies of one column that share a letter "
     "do not differ significantly (paired tests on the same scenarios, adjusted for their number). `privileged`: the "
-    "policy saw the ground truth. `not verified`: an entry of an earlier form, without its actions: it cannot be "
-    "verified, so it has no letters. `published`: the paper's rates, from other scenes and another simulator. "
-    "`rema leaderboard` shows the rest."
+    "policy saw the ground truth. `learned checkpoint`: one training, not a method "
+    "([docs/statistics.md](docs/statistics.md#checkpoints-and-methods)). `not verified`: an entry of an earlier form, "
+    "without its actions: it cannot be verified, so it has no letters. `published`: the paper's rates, from other "
+    "scenes and another simulator. `rema leaderboard` shows the rest."
 )
 HARD = (
     " `hard`: the mean over the axes of [the generalisation suite](docs/suite.md), with letters of its own; `-`: not "

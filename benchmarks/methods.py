@@ -154,8 +154,12 @@ def shown_difference(found: MethodDifference) -> tuple[str, str]:
 
 def report(plan: RecursionPlan, arguments: argparse.Namespace) -> int:
     """Score, compare, draw and print."""
-    by_task = Table("data", "method", *TASKS, title="success, % of 2,000 validation scenarios: mean [95 %] (seeds)")
-    gaps = Table("data", "task", "joint - separate, points [95 %]", "P(joint better)", title="joint against separate")
+    by_task = Table(
+        "data", "method", *TASKS, title="methods: success, % of 2,000 validation scenarios: mean [95 %] (seeds)"
+    )
+    gaps = Table(
+        "data", "task", "joint - separate, points [95 %]", "P(joint better)", title="methods: joint against separate"
+    )
     rates: dict[tuple[str, str, str], MethodRate] = {}
     numbers: dict[str, Any] = {}
     for size, percent in SIZES.items():

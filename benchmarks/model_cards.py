@@ -18,7 +18,7 @@ from benchmarks.results import ROOT
 from evaluator.leaderboard import leaderboard
 from evaluator.leaderboard.row import Row
 from evaluator.policy.named import find_named
-from evaluator.policy.shipped import shipped_checkpoint, shipped_policies
+from evaluator.policy.shipped import Shipped, shipped_checkpoint, shipped_policies
 from evaluator.run.entry import find_entries
 
 PAGE = ROOT / "docs" / "models.md"
@@ -36,24 +36,26 @@ suite](suite.md) measures how far they hold where the world is another.
 """
 
 
-def card(policy: str, folder: str, rows: list[Row]) -> list[str]:
-    """The section of a policy."""
-    named, place = find_named(policy), shipped_checkpoint(policy)
-    assert named is not None and place is not None
-    return [
-        f"## `{policy}`",
-        f"{named.description} Folder `releases/checkpoints/{folder}`.",
-        network_table(networks_in(place)),
-        rate_table(policy, rows) or "These networks have no verified row on the leaderboard yet.",
-    ]
+def card(policy: str, shipped: Shipped, rows: list[Row]) -> list[str]:
+    """The section of a policy: its networks, those of single tasks beside them, and its rates."""
+    named = find_named(policy)
+    assert named is not None
+    parts = [f"## `{policy}`", f"{named.description} Folder `releases/checkpoints/{shipped.folder}`."]
+    for task in (None, *shipped.tasks):
+        place = shipped_checkpoint(policy, task)
+        assert place is not None
+        if task is not None:
+            parts.append(f"In `{task}`, other networks play: `releases/checkpoints/{shipped.of(task).folder}`.")
+        parts.append(network_table(networks_in(place)))
+    return [*parts, rate_table(policy, rows) or "These networks have no verified row on the leaderboard yet."]
 
 
 def main() -> int:
     """Write the page; says where."""
     rows = list(leaderboard(find_entries(), published=False).rows)
     parts = [TITLE.strip()]
-    for policy, (folder, _) in shipped_policies().items():
-        parts += card(policy, folder, rows)
+    for policy, shipped in shipped_policies().items():
+        parts += card(policy, shipped, rows)
     PAGE.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
     print(PAGE.relative_to(ROOT))
     return 0

@@ -32,6 +32,7 @@ SECTIONS = {
     "determinism": "Determinism of the world",
     "byte_identity": "Equal bytes of whole runs",
     "kills": "Killed and resumed runs",
+    "kills_rounds": "Killed and resumed recursions",
     "mutations": "Mutated inputs",
     "signals": "Stopped verbs",
     "coverage": "Coverage of the statistics",

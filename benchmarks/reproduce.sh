@@ -31,9 +31,11 @@ for format in lerobot minari rlds hf; do # each reader in an environment of its 
   python benchmarks/${format}_reader.py --python environments/$format/bin/python --release rema-sample --json $results/${format}_reader.json
 done
 
-rema rounds manifests/plans/rema-v0.toml --register # stages that are done are kept
-networks=releases/checkpoints/rema-v0
-rema scenarios v2 --keep grasp_grasp_push --picker tae --checkpoint $networks/round-2 --device openvino
+rema rounds manifests/plans/rema-v0.toml # stages that are done are kept; its network after round 2 picks tools
+rema scenarios v2 --keep grasp_grasp_push --picker tae --checkpoint releases/checkpoints/rema-v0/round-2 --device openvino
+rema rounds manifests/plans/rema-v1.toml --register
+rema rounds manifests/plans/rema-v1-tool2.toml --register # the networks of the fifth task
+networks=releases/checkpoints/rema-v1
 
 tasks="grasp push grasp_push grasp_grasp"
 for task in $tasks; do
@@ -47,17 +49,21 @@ for policy in random scripted tae-joint; do
 done
 for round in 1 2; do
   rema evaluate tae --checkpoint $networks/round-$round --task grasp --device openvino \
-    --output runs/round-$round-grasp-conditional
+    --output runs/rema-v1-round-$round-grasp-conditional
 done
 for task in $tasks; do
   rema evaluate tae --checkpoint $networks/round-3 --task $task --device openvino \
-    --output runs/round-3-$task-conditional
+    --output runs/rema-v1-round-3-$task-conditional
 done
 python benchmarks/ablation.py --output runs/ablation --device cuda --ways as-planned,not-turned,not-turned-slower \
   --json $results/ablation.json
 ways=as-planned,another-seed,300-updates,1000-updates,balanced-on-average,wrong-labels,finer-cells,displaced
 OMP_NUM_THREADS=1 python benchmarks/ablation.py --output runs/ablation-cpu --ways $ways --episodes 2000 \
   --json $results/ablation_cpu.json
+OMP_NUM_THREADS=1 python benchmarks/methods.py --output runs/methods --train 1/1
+python benchmarks/methods.py --output runs/methods --json $results/methods.json
+OMP_NUM_THREADS=1 python benchmarks/fine.py --output runs/fine --train 1/1
+python benchmarks/fine.py --output runs/fine --json $results/fine.json
 python benchmarks/examples.py --json $results/examples.json # pip install scikit-learn
 python benchmarks/examples.py --page
 python benchmarks/baselines.py --maps --runs runs/*
@@ -71,13 +77,14 @@ python benchmarks/leaderboard.py
 python benchmarks/command_line.py
 python benchmarks/train.py --tried --json $results/train.json
 python benchmarks/train.py --device cuda --batches 8,32,128,512,2048 --updates 8 --json $results/train_cuda.json # on a GPU
-python benchmarks/infer.py --checkpoint releases/checkpoints/rema-v0/joint --runtimes --json $results/infer.json
-python benchmarks/half_precision.py --checkpoint releases/checkpoints/rema-v0/joint --scenarios 250 --json $results/half_precision.json
+python benchmarks/infer.py --checkpoint releases/checkpoints/rema-v1/joint --runtimes --json $results/infer.json
+python benchmarks/half_precision.py --checkpoint releases/checkpoints/rema-v1/joint --scenarios 250 --json $results/half_precision.json
 
 python benchmarks/isolation.py --run runs/random-grasp-conditional --json $results/isolation.json
 python benchmarks/verify_entry.py --check --json $results/verify_entry.json
 python benchmarks/hostile.py --json $results/hostile.json
 python benchmarks/kills.py --json $results/kills.json
+python benchmarks/kills_rounds.py --json $results/kills_rounds.json
 python benchmarks/forgeries.py --json $results/forgeries.json
 python benchmarks/verify_entry.py --check --json $results/verify_entry.json
 python benchmarks/mutations.py --json $results/mutations.json

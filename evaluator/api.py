@@ -111,7 +111,7 @@ def evaluate(
         policy=spec,
         task=task,
         output=Path("runs") / name if output is None else Path(output),
-        checkpoint=weights_of(spec, None if checkpoint is None else Path(checkpoint)),
+        checkpoint=weights_of(spec, None if checkpoint is None else Path(checkpoint), task),
         device=device,
         protocol=protocol,
         split=split,

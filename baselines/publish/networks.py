@@ -32,6 +32,8 @@ def is_networks(what: str) -> bool:
 def publish_networks(what: str, target: Path, licence: str = "") -> Published:
     """Write the networks of a built-in policy, or of a folder, into the new folder ``target``.
 
+    Of a policy, they are those that play most tasks; networks of single tasks are published by their folder.
+
     ``licence`` is the SPDX identifier for networks of your own; those of rema have one.
 
     Raises InputError for networks of a folder without a licence, and MissingFileError, IntegrityError or InputError
@@ -50,7 +52,9 @@ def publish_networks(what: str, target: Path, licence: str = "") -> Published:
     else:
         named, licence = find_named(what), _LICENCE
         title, about = what, "" if named is None else named.description
-        rates = rate_table(what, leaderboard(find_entries(), published=False).rows)
+        others = shipped_policies()[what].tasks  # other networks play these
+        rows = [row for row in leaderboard(find_entries(), published=False).rows if row.task not in others]
+        rates = rate_table(what, rows)
     networks = networks_in(place)
     with interrupts.held(), publication(target) as folder:
         for file in networks.values():

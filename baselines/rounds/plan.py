@@ -247,17 +247,17 @@ def _policies(path: Path, where: str, task: str, values: _Task, networks: _Netwo
     before = len(TASKS[task]) - 1
     if before and values.picks is None:
         raise wrong(path, f"{where}.picks", "is missing", 'name the policy of the first steps: picks = "reference"')
-    last = _policy(path, f"{where}.policy", values.policy, networks)
+    last = _policy(path, f"{where}.policy", task, values.policy, networks)
     if not before or values.picks is None:
         return (last,)
-    return (*(_policy(path, f"{where}.picks", values.picks, networks),) * before, last)
+    return (*(_policy(path, f"{where}.picks", task, values.picks, networks),) * before, last)
 
 
-def _policy(path: Path, where: str, use: _Policy, networks: _Networks) -> PolicyUse:
-    """A policy with the files that it needs: relative paths start in the plan's folder."""
+def _policy(path: Path, where: str, task: str, use: _Policy, networks: _Networks) -> PolicyUse:
+    """A policy with the files that it needs for a task: relative paths start in the plan's folder."""
     try:
         spec = resolve(str(path.parent / Path(use.code).expanduser()) if ".py" in use.code else use.code)
-        found = shipped_checkpoint(spec.name) if use.checkpoint is None else networks(use.checkpoint)
+        found = shipped_checkpoint(spec.name, task) if use.checkpoint is None else networks(use.checkpoint)
     except RemaError as error:
         message = f"{path}: {where}: {error.message}"
         raise type(error)(message, hint=error.hint, **{**error.facts, "field": where}) from error

@@ -101,8 +101,9 @@ def publish(plan: RecursionPlan, releases: Path) -> None:
     register(manifest)
     if large_enough(manifest):
         freeze_subsets(load(path.parent))
-    for policy, folder in plan.policies.items():
-        publish_checkpoint(policy, f"{plan.name}/{folder}", releases / CHECKPOINTS / plan.name / folder)
+    for one in plan.policies:
+        place = f"{plan.name}/{one.folder}"
+        publish_checkpoint(one.policy, place, releases / CHECKPOINTS / place, one.task)
 
 
 class _Recursion:

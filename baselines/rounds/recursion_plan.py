@@ -5,7 +5,8 @@
     name = "my-recursion"                       # title, description, license, citation, seed: as in a collection plan
     begins_with = "rema-v0"                     # optional: whose first rounds are reused, but not its last one; or
     continues = "rema-v0"                       # whose rounds are reused, all of them
-    policies = { tae-joint = "joint" }          # optional: what --register enters as the networks of a built-in policy
+    policies = { tae-joint = "joint" }          # optional: what --register enters as the networks of a built-in policy;
+                                                # or { tae-joint = { grasp_grasp_push = "joint" } }: in this task alone
     ...
 
     [[rounds]]                                  # round 1: as in a collection plan
@@ -43,10 +44,11 @@ from baselines.train.config import TrainingConfig
 from baselines.train.result import NAME
 from evaluator.policy.shipped import CHECKPOINTS
 from rema_data.errors import MissingFileError
+from rema_data.schema import TASKS
 from rema_data.store.block import SPLITS
 from rema_data.validation import record, validated
 
-__all__ = ["NetworkPlan", "RecursionPlan", "RoundPlan", "load_recursion", "networks_folder"]
+__all__ = ["NetworkPlan", "Published", "RecursionPlan", "RoundPlan", "load_recursion", "networks_folder"]
 
 _HINT = "fix the plan; examples/tiny.toml shows how one is written"
 _OWN = ("begins_with", "continues", "policies", "rounds")
@@ -79,13 +81,22 @@ class RoundPlan:
 
 
 @dataclass(frozen=True, slots=True)
+class Published:
+    """What is registered as the networks of a built-in policy: a folder, in one task or (None) in all others."""
+
+    policy: str
+    folder: str
+    task: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class RecursionPlan:
     """A whole recursion."""
 
     path: Path
     about: dict[str, Any]  # the texts and the seed, as a collection plan has them
     rounds: tuple[RoundPlan, ...]
-    policies: dict[str, str]  # built-in policies whose networks are trained here, with the folder of each
+    policies: tuple[Published, ...]  # built-in policies whose networks are trained here
 
     @property
     def name(self) -> str:
@@ -116,7 +127,7 @@ class RecursionPlan:
 class _Recursion(About):
     begins_with: Text | None = None
     continues: Text | None = None
-    policies: dict[str, str] = field(default_factory=dict)
+    policies: dict[str, str | dict[str, str]] = field(default_factory=dict)
 
     @model_validator(mode="after")
     def _has_one_beginning(self) -> _Recursion:
@@ -161,15 +172,24 @@ def load_recursion(path: Path) -> RecursionPlan:
     content = read_toml(path)
     own = validated(_Recursion, content, str(path), hint=_HINT)
     about = {key: value for key, value in content.items() if key not in _OWN}
-    plan = RecursionPlan(path, about, _rounds(path, own), own.policies)
+    plan = RecursionPlan(path, about, _rounds(path, own), _published(own))
     folders = {network.folder for entry in plan.rounds for network in entry.networks}
-    for policy, folder in plan.policies.items():
-        if policy not in LEARNED or folder not in folders:
-            what = f"is {folder!r}: not a learned policy with networks that a round trains"
-            hint = f"policies: {_listed(LEARNED)}; networks: {_listed(folders)}"
-            raise wrong(path, f"policies.{policy}", what, hint)
+    for one in plan.policies:
+        if one.policy not in LEARNED or one.folder not in folders or one.task not in (None, *TASKS):
+            where = f"policies.{one.policy}" + ("" if one.task is None else f".{one.task}")
+            what = f"is {one.folder!r}: not a learned policy with networks that a round trains, or not for a task"
+            hint = f"policies: {_listed(LEARNED)}; networks: {_listed(folders)}; tasks: {', '.join(TASKS)}"
+            raise wrong(path, where, what, hint)
     _check_data(plan)
     return plan
+
+
+def _published(own: _Recursion) -> tuple[Published, ...]:
+    found: list[Published] = []
+    for policy, folders in own.policies.items():
+        given = {None: folders} if isinstance(folders, str) else folders
+        found += [Published(policy, folder, task) for task, folder in given.items()]
+    return tuple(found)
 
 
 def _rounds(path: Path, own: _Recursion) -> tuple[RoundPlan, ...]:

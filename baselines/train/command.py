@@ -42,6 +42,18 @@ def _seeds(context: click.Context, parameter: click.Parameter, value: str | None
     return tuple(found)
 
 
+def _shares(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, float]:
+    """SKILL=NUMBER, some times."""
+    found: dict[str, float] = {}
+    for text in values:
+        name, _, number = text.partition("=")
+        try:
+            found[name.strip()] = float(number)
+        except ValueError:
+            raise click.BadParameter(f"{text!r} is not a share, such as grasp_push=3") from None
+    return found
+
+
 @click.command()
 @click.option("--release", required=True, help="Name of a release, or its folder.")
 @click.option("--tasks", required=True, callback=_names, help="Whose steps are used, separated by commas.")
@@ -56,6 +68,16 @@ def _seeds(context: click.Context, parameter: click.Parameter, value: str | None
 @click.option("--learning-rate", type=float, default=1e-4, show_default=True)
 @click.option("--schedule", type=click.Choice(["constant", "cosine"]), default="constant", show_default=True)
 @click.option("--balance", type=click.Choice(["exact", "average"]), default="exact", show_default=True)
+@click.option(
+    "--share",
+    "shares",
+    multiple=True,
+    callback=_shares,
+    metavar="SKILL=NUMBER",
+    help="Draws of a skill for one of each other.",
+)
+@click.option("--hard-share", type=float, default=0.0, show_default=True, help="Of the failures: hard ones.")
+@click.option("--hard-every", type=int, default=500, show_default=True, help="Updates between two looks for them.")
 @click.option("--on-empty", type=click.Choice(["raise", "renormalise"]), default="raise", show_default=True)
 @click.option("--rotate/--no-rotate", default=True, show_default=True, help="Turn grasps.")
 @click.option("--mirror/--no-mirror", default=True, show_default=True, help="Mirror pushes.")

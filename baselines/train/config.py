@@ -14,6 +14,7 @@ from rema_data.validation import record
 __all__ = ["TrainingConfig", "skills_of"]
 
 Positive = Annotated[int, Field(ge=1)]
+Share = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 @record
@@ -31,6 +32,11 @@ class TrainingConfig:
     learning_rate: Annotated[float, Field(gt=0, lt=1)] = 1e-4  # of Adam (paper: 1e-4)
     schedule: Literal["constant", "cosine"] = "constant"  # ``cosine`` lets the rate fall to nothing over the updates
     balance: Literal["exact", "average"] = "exact"  # in every minibatch, or on average as in the paper
+    # draws of some skills for one of each other, such as {"grasp_push": 3}; equal where it is empty
+    shares: dict[str, Share] = field(default_factory=dict)
+    # of the failures of minibatches: so many are the hardest that the present weights find (baselines.train.hard)
+    hard_share: Annotated[float, Field(ge=0, le=1)] = 0.0
+    hard_every: Positive = 500  # updates between two looks for hard failures; the first minibatches have none
     # where a skill lacks successes, failures or steps: refuse, or use the rest
     on_empty: Literal["raise", "renormalise"] = "raise"
     rotate: bool = True  # augment grasps by rotation, where it is valid
@@ -54,6 +60,8 @@ class TrainingConfig:
         if wrong or not known:
             steps = f"{self.primitive} step of the skill {wrong or 'any'}"
             raise ValueError(f"has no {steps} in {', '.join(self.tasks)}; skills: {', '.join(known) or 'none'}")
+        if unshared := sorted(set(self.shares) - set(self.learned_skills)):
+            raise ValueError(f"shares names {unshared[0]!r}; skills that are learned: {', '.join(self.learned_skills)}")
         return self
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -42,11 +42,11 @@ class TrainingData:
     validation: StepDataset  # at most ``validation_steps``; of every skill half successes where there are enough
     sampler: BalancedSampler  # of ``train``, by skill and success
 
-    def batches(self) -> Iterator[StepBatch]:
-        """Training batches without an end, from where the sampler stands."""
+    def batches(self, replaced: Callable[[Sequence[int]], Sequence[int]] | None = None) -> Iterator[StepBatch]:
+        """Training batches without an end, from where the sampler stands; ``replaced`` may change their rows."""
         while True:
             for rows in self.sampler:
-                batch = self.train.__getitems__(rows)
+                batch = self.train.__getitems__(rows if replaced is None else replaced(rows))
                 assert isinstance(batch, StepBatch)
                 yield batch
 
@@ -68,6 +68,7 @@ def open_data(release: Release, config: TrainingConfig) -> TrainingData:
         for split in ("train", "val")
     )
     _require_labels(release.name, "train on", train, skills if config.on_empty == "raise" else ())
+    present = set(train.table["skill"])
     if config.on_empty == "raise":
         _require_labels(release.name, "validate with", val, skills)
     sampler = BalancedSampler(
@@ -80,6 +81,7 @@ def open_data(release: Release, config: TrainingConfig) -> TrainingData:
         rotate=True,
         rank=0,
         world_size=1,
+        shares={name: share for name, share in config.shares.items() if name in present},
     )
     return TrainingData(train, val.select(_balanced(val, config.validation_steps)), sampler)
 

@@ -17,6 +17,7 @@ from baselines.tae.checkpoint import Checkpoint, save_checkpoint
 from baselines.tae.network import TaeNetwork
 from baselines.train.config import TrainingConfig
 from baselines.train.data import open_data, prepared
+from baselines.train.hard import HardFailures
 from baselines.train.report import TrainingReport
 from baselines.train.result import DIVERGED, DivergedError, Trained, check_network_name, trained
 from baselines.train.state import TrainingState, locked, read_state, state_path, write_state
@@ -93,6 +94,7 @@ class _Training:
         self.report = TrainingReport(progress, f"train {folder.name}/{name}", config.updates)
         self.work = state_path(folder, name)
         self.data = open_data(release, config)
+        self.hard = HardFailures(self.data.train, config) if config.hard_share else None
         self.augment = Augment(self.data.train, rotate=config.rotate, mirror=config.mirror)
         self.network = TaeNetwork(config.architecture, torch.Generator().manual_seed(config.seed))
         self.network.placed(device).train()
@@ -113,7 +115,7 @@ class _Training:
 
     def go(self, save_every: int) -> Trained:
         self.resume()
-        batches = self.data.batches()
+        batches = self.data.batches(None if self.hard is None else self.hard.replaced)
         started, waiting, before = time.perf_counter(), 0.0, self.update
         while self.update < self.config.updates:
             interrupts.check()
@@ -132,6 +134,9 @@ class _Training:
                 speed = (self.update - before) * self.config.batch_size / took
                 self.report.validated(self.validate(), speed, waiting / took)
                 started, waiting, before = time.perf_counter(), 0.0, self.update
+            if self.hard is not None and self.update % self.config.hard_every == 0 and not last:
+                with self.precision():
+                    self.hard.look(self.network, self.device)
             if validating or self.update % save_every == 0:
                 self.save()
         return Trained(self.folder, self.name, self.save_best(self.folder), already=False)
@@ -140,7 +145,7 @@ class _Training:
         """One update; the loss, still on the device."""
         for group in self.optimiser.param_groups:
             group["lr"] = self.config.learning_rate * self.rate()
-        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.precision == "bfloat16"):
+        with self.precision():
             logits = self.network(samples.scene, samples.end_effector)
         pair = pixel_logits(logits, samples.pixel).float()
         loss = torch.nn.functional.cross_entropy(pair, samples.success.long())
@@ -148,6 +153,10 @@ class _Training:
         torch.autograd.backward(loss)
         self.optimiser.step()
         return loss.detach()
+
+    def precision(self) -> torch.autocast:
+        """In which the layers compute while they learn."""
+        return torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.precision == "bfloat16")
 
     def rate(self) -> float:
         """Share of the learning rate at the present update."""
@@ -210,6 +219,7 @@ class _Training:
         tensors |= {"generator": self.random.get_state()}
         facts = {
             "sampler": self.data.sampler.state_dict(),
+            "hard": None if self.hard is None else self.hard.state_dict(),
             "losses": torch.stack(self.losses).tolist() if self.losses else [],
             "history": self.history,
             "best": self.best,
@@ -235,6 +245,8 @@ class _Training:
             self.optimiser.state[parameter] = {"step": torch.tensor(float(state.update)), **moments}
         self.random.set_state(state.tensors["generator"])
         self.data.sampler.load_state_dict(state.facts["sampler"])
+        if self.hard is not None:
+            self.hard.load_state_dict(state.facts["hard"])
         self.losses = list(torch.tensor(state.facts["losses"], device=self.device))
         self.update, self.history, self.best = state.update, state.facts["history"], state.facts["best"]
         self.best_weights = parts["best"]

@@ -17,7 +17,7 @@ from rema_data.interrupts import check
 from rema_data.loader.batch import StepBatch
 from rema_data.loader.dataset import StepDataset
 
-__all__ = ["pixel_logits", "score", "validate"]
+__all__ = ["log_odds", "pixel_logits", "score", "validate"]
 
 _BATCH = 32
 _BINS = 10
@@ -28,7 +28,6 @@ def pixel_logits(logits: Tensor, pixel: Tensor) -> Tensor:
     return logits.flatten(2).gather(2, pixel[:, None, None].expand(-1, 2, 1))[..., 0]
 
 
-@torch.inference_mode()
 def validate(network: TaeNetwork, data: StepDataset, device: torch.device) -> dict[str, Any]:
     """Measures of a network on a dataset, in evaluation mode; its mode is left as it was.
 
@@ -36,6 +35,16 @@ def validate(network: TaeNetwork, data: StepDataset, device: torch.device) -> di
     AUC is then 0.5 without both labels); ``calibration_error`` and ``loss`` give both labels equal weight over all
     steps; ``skills`` has the first two and the counts for each. Raises DivergedError where an answer is not finite.
     """
+    answers = log_odds(network, data, device)
+    wrong = int((~np.isfinite(answers)).sum())
+    if wrong:
+        raise DivergedError(f"the answers to {wrong} of {len(answers)} validation steps are not numbers")
+    return score(answers, data.rows.success, data.table["skill"].astype(str).to_numpy())
+
+
+@torch.inference_mode()
+def log_odds(network: TaeNetwork, data: StepDataset, device: torch.device) -> npt.NDArray[np.float64]:
+    """Log odds of success at the recorded action of every step, float64 (N,), in evaluation mode; its mode is kept."""
     was_training = network.training
     network.eval()
     unused = torch.Generator()
@@ -48,11 +57,8 @@ def validate(network: TaeNetwork, data: StepDataset, device: torch.device) -> di
         pair = pixel_logits(network(samples.scene, samples.end_effector), samples.pixel).float()
         scores.append((pair[:, 1] - pair[:, 0]).cpu())
     network.train(was_training)
-    answers = torch.cat(scores).double()
-    wrong = int((~torch.isfinite(answers)).sum())
-    if wrong:
-        raise DivergedError(f"the answers to {wrong} of {len(answers)} validation steps are not numbers")
-    return score(answers.numpy(), data.rows.success, data.table["skill"].astype(str).to_numpy())
+    answers: npt.NDArray[np.float64] = torch.cat(scores).double().numpy()
+    return answers
 
 
 def score(logit: npt.NDArray[np.float64], success: npt.NDArray[np.bool_], skills: npt.NDArray[Any]) -> dict[str, Any]:

@@ -141,7 +141,7 @@ def _preview_scenario(
     given = None if action is None else _parse(action)
     # Imported here, so that a mistyped option is answered at once.
     from evaluator.cli.quiet import import_pybullet
-    from evaluator.policy.loading import resolve
+    from evaluator.policy.loading import resolve, weights_of
 
     import_pybullet()
     from evaluator.render.film import FilmMaker
@@ -158,7 +158,7 @@ def _preview_scenario(
         else:
             spec = resolve(policy or "scripted")
             who = spec.name
-            with chosen_by(spec, checkpoint) as choose:
+            with chosen_by(spec, weights_of(spec, checkpoint, task)) as choose:
                 take = films.play(scenario, protocol, choose)
     path = output or Path(f"preview-{task}-{index}.png")
     write_preview(take, path, f"{task}, scenario {index} ({split}, {protocol}), {who}")

@@ -44,7 +44,7 @@ def report(
     # Imported here, so that a mistyped option is answered at once.
     from evaluator.cli.progress import StderrProgress
     from evaluator.cli.quiet import import_pybullet
-    from evaluator.policy.loading import resolve, weights_of
+    from evaluator.policy.loading import resolve
 
     import_pybullet()
     from evaluator.report import ReportOptions, write_report
@@ -54,8 +54,7 @@ def report(
         if value is not None and policy is None:
             raise InputError(f"{option} belongs to a policy", hint=f"name it with --policy, or drop {option}")
     spec = None if policy is None else resolve(policy)
-    weights = None if spec is None else weights_of(spec, checkpoint)
-    shown = ReportOptions(policy=spec, checkpoint=weights, limit_bytes=int(limit_mb * _MEGABYTE), **options)
+    shown = ReportOptions(policy=spec, checkpoint=checkpoint, limit_bytes=int(limit_mb * _MEGABYTE), **options)
     with StderrProgress() as progress:
         written = write_report(run, output, shown, progress)
     if as_json:

@@ -62,7 +62,7 @@ def cells(row: Row) -> tuple[str, ...]:
     return (
         row.task,
         row.policy,
-        row.tag,
+        _kind(row.tag),
         row.protocol,
         "-" if row.rank is None else str(row.rank),
         _counted(row),
@@ -79,6 +79,11 @@ def cells(row: Row) -> tuple[str, ...]:
         ", ".join(f"{label} {count}" for label, count in failures[:3]),
         row.isolation,
     )
+
+
+def _kind(tag: str) -> str:
+    """A tag as people read it: a learned row is of one checkpoint, and says nothing of the method that trained it."""
+    return "learned checkpoint" if tag == "learned" else tag
 
 
 def _counted(row: Row) -> str:
@@ -136,7 +141,10 @@ def matrix(board: Board, protocol: str) -> tuple[list[str], list[list[str]]]:
     for task in tasks:
         header += [task, f"{task} hard"] if task in hard else [task]
     for key in order:
-        line = [key[1] + (f" ({key[3]})" if key[3] > 1 else ""), key[2] + (", not verified" if key[0] == 1 else "")]
+        line = [
+            key[1] + (f" ({key[3]})" if key[3] > 1 else ""),
+            _kind(key[2]) + (", not verified" if key[0] == 1 else ""),
+        ]
         for task in tasks:
             scored = lines[key].get(task)
             line.append("" if scored is None else _short(scored))

@@ -43,7 +43,7 @@ def _installed_problem(run: Run, name: str) -> str:
         return f"{name!r} is the name of an installed policy, the run is of {run.policy!r}"
     if run.verified == "record":
         return ""  # it was checked when the record was made, by the version of the policy of that time
-    own = installed_digest(name)
+    own = installed_digest(name, run.task)
     if own and own != run.provenance.policy_digest:
         return f"{name!r} is the name of an installed policy, and the digest is that of another one or another version"
     kind = getattr(find_named(name), "kind", "")
@@ -56,11 +56,11 @@ def _installed_problem(run: Run, name: str) -> str:
 
 
 @lru_cache(maxsize=32)
-def installed_digest(name: str) -> str:
-    """Digest of the installed policy of that name, with its own weights; empty where it has none."""
+def installed_digest(name: str, task: str) -> str:
+    """Digest of the installed policy of that name, with its own weights for a task; empty where it has none."""
     try:
         spec = resolve(name)
-        weights = weights_of(spec, None)
+        weights = weights_of(spec, None, task)
         if weights is None and spec.named is not None and spec.named.kind == "learned":
             return ""
         return digest(spec, weights)

@@ -83,8 +83,9 @@ def check_policy(
     ['loads', 'valid actions', 'same again', 'new process', 'batch size', 'order', 'time', 'sandbox']
     """
     spec = resolve(str(policy))
-    weights = weights_of(spec, None if checkpoint is None else Path(checkpoint))
     tasks = (task,) if isinstance(task, str) else tuple(task or TASKS)
+    given = None if checkpoint is None else Path(checkpoint)
+    weights = weights_of(spec, given, tasks[0] if len(tasks) == 1 else None)
     progress = progress or Silent()
     progress.phase("observe", len(tasks))
     asked = []

@@ -83,11 +83,13 @@ def check_checkpoint(checkpoint: Path | None) -> Path | None:
     return Path(os.path.abspath(path))
 
 
-def weights_of(spec: PolicySpec, checkpoint: Path | None) -> Path | None:
-    """The weights that a policy is to load: those that the user names, else those that come with it.
+def weights_of(spec: PolicySpec, checkpoint: Path | None, task: str | None = None) -> Path | None:
+    """The weights with which a policy is to play a task: those that the user names, else those that come with it.
+
+    Without a task, those of a policy that come with it are the ones that play most tasks.
 
     Raises MissingFileError or IntegrityError where they are not there, or not the published ones.
     """
     if checkpoint is not None or spec.named is None:
         return check_checkpoint(checkpoint)
-    return check_checkpoint(spec.named.checkpoint) or shipped_checkpoint(spec.name)
+    return check_checkpoint(spec.named.checkpoint) or shipped_checkpoint(spec.name, task)

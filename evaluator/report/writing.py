@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -164,11 +164,13 @@ def _gallery_words(run: Run, cards: Sequence[Card], per_label: int) -> dict[str,
 
 def _pictures(run: Run, options: ReportOptions, progress: Progress) -> tuple[list[Card], dict[str, Any]]:
     """The cards of the gallery, and the calibration for the page; or why they are missing."""
+    from evaluator.policy.loading import weights_of
     from evaluator.report.gallery import make_cards
     from evaluator.report.scores import check_policy
 
-    if options.policy is not None:
-        check_policy(run, options.policy, options.checkpoint)
+    if (policy := options.policy) is not None:
+        options = replace(options, checkpoint=weights_of(policy, options.checkpoint, run.task))
+        check_policy(run, policy, options.checkpoint)
     said: dict[str, Any] = {"gallery_reason": "", "bins": [], "scored": 0}
     try:
         scenarios = scenario_list(run.header).scenarios
@@ -179,8 +181,8 @@ def _pictures(run: Run, options: ReportOptions, progress: Progress) -> tuple[lis
     cards = make_cards(run, scenarios, chosen, progress) if chosen else []
     if not chosen:
         said["gallery_reason"] = "No episode is shown: none was asked for, or none was measured."
-    if options.policy is not None:
-        return cards, said | _scores(run, scenarios, options, options.policy, cards, progress)
+    if policy is not None:
+        return cards, said | _scores(run, scenarios, options, policy, cards, progress)
     said["scores_note"] = (
         "A run records actions and no scores. Name its policy (--policy, and --checkpoint where it has one) to see "
         "the maps and the calibration of one that has them."

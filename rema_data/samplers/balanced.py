@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, Literal
 
@@ -16,7 +16,7 @@ from rema_data.samplers.epoch_state import Batch, EpochState, ResumableOrder
 from rema_data.samplers.ranks import Ranks
 from rema_data.samplers.report import SamplerReport, make_report
 from rema_data.samplers.row_order import RowOrder, bits, shuffled, stream_key
-from rema_data.samplers.shares import uniform_shares
+from rema_data.samplers.shares import shares_of
 from rema_data.samplers.source import source_of
 from rema_data.samplers.strata import label_text, stratify
 
@@ -31,8 +31,9 @@ _ROWS, _SHUFFLES, _LOTTERY = range(3)  # purposes of the random streams
 class BalancedSampler(ResumableOrder):
     """Batches of rows in which every stratum has its share.
 
-    Tasks (the values of the first column of ``by``) have equal shares, and successes and failures (those of the second)
-    have equal shares within each task. Every row of a stratum is drawn before any is drawn again, across epochs too.
+    Tasks (the values of the first column of ``by``) have equal shares, or those in ``shares``; successes and failures
+    (those of the second) have equal shares within each task. Every row of a stratum is drawn before any is drawn again,
+    across epochs too.
 
     Iterating gives one epoch: lists of row numbers, for ``DataLoader(dataset, batch_sampler=sampler)``. Epochs advance
     by themselves.
@@ -60,6 +61,9 @@ class BalancedSampler(ResumableOrder):
         What to do about a stratum without rows: see ``rema_data.samplers.strata.stratify``.
     rotate : bool
         Allow an exact global batch with fewer rows than strata, in which strata take turns.
+    shares : mapping, optional
+        Shares of some values of the first column of ``by``, as positive numbers in any unit, where they are not to be
+        equal: with ``{"grasp_push": 3}`` that task is drawn three times as often as each of the others.
 
     Raises
     ------
@@ -87,6 +91,7 @@ class BalancedSampler(ResumableOrder):
         world_size: int | None = None,
         on_empty: Literal["raise", "renormalise"] = "raise",
         rotate: bool = False,
+        shares: Mapping[Any, float] | None = None,
     ) -> None:
         super().__init__()
         one_of("mode", mode, ("exact", "average"))
@@ -109,13 +114,14 @@ class BalancedSampler(ResumableOrder):
                 hint="use a smaller batch, or a longer epoch (num_samples=...)",
                 draws=draws,
             )
+        self._shares = dict(shares or {})
         self._plan = self._make_plan(rotate)
         self._orders = [
             RowOrder(rows, stream_key(self.seed, _ROWS, number)) for number, rows in enumerate(self.strata.rows)
         ]
 
     def _make_plan(self, rotate: bool) -> BatchPlan:
-        shares = uniform_shares(self.strata)
+        shares = shares_of(self.strata, self._shares)
         if self.mode == "average":
             return LotteryPlan(shares, self.global_batch, stream_key(self.seed, _LOTTERY))
         if self.global_batch < len(shares) and not rotate:
@@ -198,7 +204,7 @@ class BalancedSampler(ResumableOrder):
             "strata": len(self.strata.labels),
             "dataset": self.fingerprint,
             # former options: states that have them can still be loaded
-            "target": "uniform",
+            "target": "uniform" if not self._shares else sorted([str(value), n] for value, n in self._shares.items()),
             "replacement": "cycle",
             "rows of a shorter batch": 0,
         }

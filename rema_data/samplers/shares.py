@@ -4,22 +4,39 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Mapping
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from rema_data.errors import InputError
 from rema_data.samplers.strata import Strata
 
-__all__ = ["Shares", "as_fractions", "uniform_shares"]
+__all__ = ["Shares", "as_fractions", "shares_of"]
 
 Shares = npt.NDArray[np.float64]
 """Positive, sum 1, float64 (strata,)."""
 
 
-def uniform_shares(strata: Strata) -> Shares:
-    """Share of every stratum: equal for the values of the first column, within each for those of the second, etc."""
-    shares = np.ones(len(strata.labels))
+def shares_of(strata: Strata, wanted: Mapping[Any, float] | None = None) -> Shares:
+    """Share of every stratum: equal for the values of the first column, within each for those of the second, etc.
+
+    ``wanted`` has shares of values of the first column in place of equal ones, in any unit; values that it does not
+    name have 1. Raises InputError for a value without rows, or a share that is not a positive number.
+    """
+    given = dict(wanted or {})
+    first = {label[0] for label in strata.labels}
+    for value, share in given.items():
+        if value not in first:
+            known = ", ".join(map(str, sorted(first, key=str)))
+            raise InputError(
+                f"no row has {strata.by[0]}={value}, which is to have a share", hint=f"name some of: {known}"
+            )
+        if isinstance(share, bool) or not isinstance(share, int | float) or not 0 < share < math.inf:
+            raise InputError(f"the share of {value} is {share!r}", hint="give a positive number")
+    shares = np.array([float(given.get(label[0], 1)) for label in strata.labels])
     for depth in range(1, len(strata.by) + 1):
         siblings = Counter(prefix[:-1] for prefix in {label[:depth] for label in strata.labels})
         for number, label in enumerate(strata.labels):

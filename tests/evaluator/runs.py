@@ -174,7 +174,7 @@ def write_run(
     records = _records(steps, passed, actions, none if lost is None else lost, none if unplayed is None else unplayed)
     table = results_table(scenarios, count, steps, records)
     marks = {
-        "policy_digest": digest or _digest(policy),
+        "policy_digest": digest or _digest(policy, task),
         "protocol_hash": protocol_hash(task, protocol),
         "scenarios_hash": scenarios.sha256,
         "fingerprint": FINGERPRINT,
@@ -253,9 +253,9 @@ def _seal(folder: Path, header: dict[str, Any], table: pa.Table, changes: dict[s
         (folder / name).write_bytes(data)
 
 
-def _digest(policy: str) -> str:
+def _digest(policy: str, task: str) -> str:
     if policy in policy_names():
-        return installed_digest(policy)
+        return installed_digest(policy, task)
     return (policy.encode().hex() + "0" * 64)[:64]
 
 

@@ -14,11 +14,13 @@ from pathlib import Path
 
 import pytest
 
-from baselines.rounds.recursion import Stage, recurse, train_network
-from baselines.rounds.recursion_plan import load_recursion
+from baselines.rounds.recursion import Stage, publish, recurse, train_network
+from baselines.rounds.recursion_plan import Published, load_recursion
 from baselines.tae.checkpoint import load_checkpoint
+from evaluator.policy.shipped import shipped_policies
 from rema_data.errors import InputError, MissingFileError, RunMismatchError
 from rema_data.release.folder import find_release
+from rema_data.testing import make_release
 from tests.baselines.rounds.fakes import tree
 
 PLAIN = 'policy = "tae-joint"'
@@ -120,7 +122,12 @@ def written(folder: Path, *changes: tuple[str, str]) -> Path:
         (("seed = 1", "seed = -1"), "seed"),
         (('policy = "random"', "reuse = true"), "rounds[1].episodes is not a known field"),
         (("[[rounds]]", "[[rounds]]\nreuse = true\n[[rounds]]"), "rounds[1].reuse lacks its source"),
-        (("seed = 1", 'seed = 1\npolicies = { tae-joint = ["joint"] }'), "policies.tae-joint is ['joint']"),
+        (("seed = 1", 'seed = 1\npolicies = { tae-joint = ["joint"] }'), "policies.tae-joint"),
+        (("seed = 1", 'seed = 1\npolicies = { tae-joint = { juggle = "joint" } }'), "policies.tae-joint.juggle"),
+        (
+            ("seed = 1", 'seed = 1\npolicies = { tae-joint = { push = "joined" } }'),
+            "policies.tae-joint.push is 'joined'",
+        ),
         (
             ("seed = 1", 'seed = 1\npolicies = { tae-joint = "joined" }'),
             "policies.tae-joint is 'joined': not a learned policy",
@@ -185,7 +192,7 @@ def test_the_published_plans_can_be_carried_out() -> None:
     for path in sorted((ROOT / "manifests" / "plans").glob("rema-v*.toml")):
         plan = load_recursion(path)
         assert plan.name == path.stem == plan.rounds[-1].release
-        assert set(plan.policies) <= {"tae-joint", "tae-separate"} and plan.policies
+        assert {one.policy for one in plan.policies} <= {"tae-joint", "tae-separate"} and plan.policies
 
 
 def test_a_whole_recursion_is_continued() -> None:
@@ -194,6 +201,7 @@ def test_a_whole_recursion_is_continued() -> None:
     releases = [entry.release for entry in plan.rounds]
     assert releases[:4] == ["rema-v1-round-1", "rema-v1-round-2", "rema-v1-round-3", "rema-v1"]
     assert releases[4:] == ["rema-v1-tool2-round-5", "rema-v1-tool2"]
+    assert plan.policies == (Published("tae-joint", "joint", "grasp_grasp_push"),)
 
 
 def test_the_papers_plan_has_the_papers_size() -> None:
@@ -217,6 +225,26 @@ def test_networks_that_ship_are_asked_for_where_a_plan_names_none(
     plain = written(tmp_path, ('policy = { code = "tae-joint", checkpoint = "tiny-recursion/round-3" }', PLAIN))
     with pytest.raises(MissingFileError, match=r"rounds\[4\].*the networks of tae-joint \(gone/joint\)"):
         load_recursion(plain)
+
+
+def test_networks_are_registered_for_all_tasks_or_for_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a second plan trains for one task leaves the first one's networks of the others as they are."""
+    (tmp_path / "manifests").mkdir()
+    monkeypatch.setenv("REMA_MANIFESTS", str(tmp_path / "manifests"))
+    made = make_release(tmp_path, "tiny-recursion", ("grasp",), episodes=4)
+    for folder in ("round-1", "round-2", "round-3", "joint"):
+        place = tmp_path / "checkpoints" / "tiny-recursion" / folder
+        place.mkdir(parents=True)
+        for name in ("grasp", "push"):
+            (place / f"{name}.json").write_text(folder)
+            (place / f"{name}.safetensors").write_text(folder)
+    for text in ('"round-3"', '{ grasp_grasp_push = "joint" }'):
+        plan = written(tmp_path, ("seed = 1", f"seed = 1\npolicies = {{ tae-joint = {text} }}"))
+        publish(load_recursion(plan), tmp_path)
+    shipped = shipped_policies()["tae-joint"]
+    assert shipped.of("push").folder == "tiny-recursion/round-3" and set(shipped.tasks) == {"grasp_grasp_push"}
+    assert shipped.of("grasp_grasp_push").folder == "tiny-recursion/joint"
+    assert (tmp_path / "manifests" / "datasets" / f"{made.manifest.name}.json").is_file()
 
 
 def test_a_release_of_another_plan_does_not_count_as_done(tmp_path: Path) -> None:

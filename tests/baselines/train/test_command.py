@@ -43,6 +43,8 @@ def test_a_network_with_its_card_and_pictures(release: rema_data.Release, tmp_pa
         (("--tasks", "juggle"), "juggle"),
         (("--release", "nowhere"), "nowhere"),
         (("--updates", "0"), "updates"),
+        (("--share", "grasp"), "'grasp' is not a share"),
+        (("--share", "push=2"), "shares names 'push'"),
         (("--name", "push.pt"), "'push.pt' cannot name a network"),
         (("--name", "../grasp"), "'../grasp' cannot name a network"),
     ],

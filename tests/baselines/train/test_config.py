@@ -22,7 +22,9 @@ def test_skills_follow_from_tasks_and_primitive() -> None:
 
 
 def test_a_configuration_survives_json() -> None:
-    config = TrainingConfig("push", ("push",), updates=5, schedule="cosine", architecture=Architecture(8, ee_stride=2))
+    config = TrainingConfig(
+        "push", ("push",), shares={"push": 2}, updates=5, schedule="cosine", architecture=Architecture(8, ee_stride=2)
+    )
     assert validated(TrainingConfig, json.loads(json.dumps(plain(config))), "a card") == config
 
 
@@ -52,6 +54,11 @@ def test_a_configuration_survives_json() -> None:
         ({"architecture": 5}, "architecture"),
         ({"architecture": None}, "architecture"),
         ({"momentum": 0.9}, "momentum"),
+        ({"shares": {"push": 2}}, "shares names 'push'; skills that are learned: grasp"),
+        ({"shares": {"grasp": 0}}, "shares.grasp is 0"),
+        ({"shares": {"grasp": "2"}}, "shares.grasp is '2'"),
+        ({"hard_share": 1.5}, "hard_share"),
+        ({"hard_every": 0}, "hard_every"),
         ({"architecture": {"width": 3}}, "width"),
         ({"architecture": {"width": 8.0}}, "architecture.width is 8.0"),
         ({"architecture": {"width": True}}, "architecture.width is True"),

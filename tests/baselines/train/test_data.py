@@ -43,6 +43,14 @@ def test_batches_are_balanced(release: rema_data.Release, config: TrainingConfig
         assert batch.success.sum() == len(batch) // 2
 
 
+def test_a_skill_has_the_share_that_it_is_given(release: rema_data.Release) -> None:
+    config = TrainingConfig("push", ("push", "grasp_push"), shares={"grasp_push": 3})
+    data = open_data(release, config)
+    for batch in islice(data.batches(), 10):
+        rows = data.train.table.iloc[batch.index.numpy()]
+        assert (rows["skill"] == "grasp_push").sum() == 6 and rows["success"].sum() == 4
+
+
 def test_validation_has_both_labels_in_equal_numbers_where_it_can(release: rema_data.Release) -> None:
     config = TrainingConfig("grasp", ("grasp", "grasp_push"), validation_steps=4)
     chosen = open_data(release, config).validation

@@ -71,6 +71,15 @@ def test_cells() -> None:
     assert shown(flipped)["errors"] == "3 infra, rate in 44.0, 46.0, 2 of 30 repeated actions flipped"
 
 
+def test_a_learned_row_is_one_checkpoint() -> None:
+    """And not the method whose name it may have; a program that reads the tag still finds it."""
+    learned = replace(ROW, policy="tae-joint", tag="learned")
+    assert shown(learned)["tag"] == "learned checkpoint" and shown(ROW)["tag"] == "submitted"
+    _, lines = matrix(Board((ROW, learned, replace(learned, verified="", unranked="unverified")), ()), "conditional")
+    assert [line[1] for line in lines][:2] == ["submitted", "learned checkpoint"]
+    assert json.loads(export(Board((learned,), ()), "json"))["rows"][0]["tag"] == "learned"
+
+
 def test_markdown_has_one_cell_for_every_column() -> None:
     lines = [line for line in export(BOARD, "md").splitlines() if line.startswith("|")]
     assert len(lines) == 2 + len(BOARD.rows)

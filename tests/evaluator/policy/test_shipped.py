@@ -10,8 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from evaluator.policy.shipped import publish_checkpoint, shipped_checkpoint, shipped_policies
-from rema_data.errors import IntegrityError, MissingFileError
+from evaluator.policy.loading import PolicySpec, weights_of
+from evaluator.policy.named import NamedPolicy
+from evaluator.policy.sandbox.snapshot import digest
+from evaluator.policy.shipped import Shipped, publish_checkpoint, shipped_checkpoint, shipped_policies
+from rema_data.errors import InputError, IntegrityError, MissingFileError
+from rema_data.schema import TASKS
 
 EVALUATOR = """
 import sys
@@ -40,14 +44,56 @@ def networks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_found_and_checked(networks: Path) -> None:
     assert shipped_checkpoint("tae-joint") == networks
-    assert set(shipped_policies()["tae-joint"][1]) == {"grasp.safetensors", "grasp.json"}
+    assert set(shipped_policies()["tae-joint"].files) == {"grasp.safetensors", "grasp.json"}
     assert shipped_checkpoint("random") is None and shipped_checkpoint("tae") is None
 
 
 def test_another_policy_is_entered_beside_it(networks: Path) -> None:
     before = shipped_policies()["tae-joint"]
     publish_checkpoint("tae-separate", "mine/separate", networks)
-    assert shipped_policies() == {"tae-joint": before, "tae-separate": ("mine/separate", before[1])}
+    assert shipped_policies() == {"tae-joint": before, "tae-separate": Shipped("mine/separate", before.files)}
+
+
+@pytest.fixture
+def tool2(networks: Path) -> Path:
+    """Other networks of tae-joint, for the fifth task alone."""
+    folder = networks.parents[1] / "tool2" / "joint"
+    shutil.copytree(networks, folder)
+    (folder / "grasp.safetensors").write_text("of more data")
+    publish_checkpoint("tae-joint", "tool2/joint", folder, "grasp_grasp_push")
+    return folder
+
+
+def test_a_task_with_networks_of_its_own(networks: Path, tool2: Path) -> None:
+    """The other tasks are played as before: their networks, and so the digest of their rows, stay."""
+    spec = PolicySpec("tae-joint", Path(__file__), "Policy", NamedPolicy(Path(__file__), "Policy", "learned", "Fake."))
+    played = {task: weights_of(spec, None, task) for task in (None, *TASKS)}
+    assert played == {**dict.fromkeys((None, *TASKS), networks), "grasp_grasp_push": tool2}
+    assert digest(spec, played["grasp_grasp_push"]) != digest(spec, played["push"]) == digest(spec, networks)
+    assert weights_of(spec, networks, "grasp_grasp_push") == networks  # what a user names comes first
+    (tool2 / "grasp.safetensors").write_text("changed")
+    assert shipped_checkpoint("tae-joint", "push") == networks
+    with pytest.raises(IntegrityError, match="not the published one"):
+        shipped_checkpoint("tae-joint", "grasp_grasp_push")
+    (tool2 / "grasp.json").unlink()
+    with pytest.raises(MissingFileError, match=r"tae-joint \(tool2/joint\)"):
+        shipped_checkpoint("tae-joint", "grasp_grasp_push")
+
+
+def test_networks_of_a_task_stay_when_the_others_are_registered_again(networks: Path, tool2: Path) -> None:
+    own = shipped_policies()["tae-joint"].tasks
+    (networks / "grasp.safetensors").write_text("trained again")
+    publish_checkpoint("tae-joint", "mine/joint", networks)
+    assert shipped_policies()["tae-joint"].tasks == own and shipped_checkpoint("tae-joint") == networks
+    with pytest.raises(InputError, match="tae-separate has no networks for other tasks than push"):
+        publish_checkpoint("tae-separate", "mine/joint", networks, "push")
+    assert set(shipped_policies()) == {"tae-joint"}
+
+
+def test_the_plain_manifest_stays_as_it_was(networks: Path, tmp_path: Path) -> None:
+    """Without networks of single tasks it has no word of them: earlier versions read it."""
+    (entry,) = json.loads((tmp_path / "manifests" / "checkpoints.json").read_text())["policies"].values()
+    assert set(entry) == {"folder", "files"}
 
 
 def test_a_changed_file(networks: Path) -> None:
@@ -91,7 +137,10 @@ def test_a_missing_file(networks: Path) -> None:
 LONG = json.dumps({"policies": {"tae-joint": {"folder": 300 * "x", "files": {}}}})
 
 
-@pytest.mark.parametrize("content", ["{", '{"policies": {"tae-joint": {}}}', "[]", LONG])
+JUGGLE = json.dumps({"policies": {"tae-joint": {"folder": "x", "files": {}, "tasks": {"juggle": {}}}}})
+
+
+@pytest.mark.parametrize("content", ["{", '{"policies": {"tae-joint": {}}}', "[]", LONG, JUGGLE])
 def test_a_damaged_manifest(networks: Path, tmp_path: Path, content: str) -> None:
     (tmp_path / "manifests" / "checkpoints.json").write_text(content)
     with pytest.raises(IntegrityError, match="cannot be read"):

@@ -132,6 +132,18 @@ def test_shares_of_tasks_stay_equal_when_a_label_is_missing() -> None:
 
 
 @pytest.mark.parametrize("mode", ["exact", "average"])
+def test_a_task_has_the_share_that_it_is_given(mode: Any) -> None:
+    """Three draws for one of each other task, and its successes and failures still have equal shares."""
+    columns = uneven()
+    sampler = BalancedSampler(columns, 12, mode=mode, num_samples=12 * 400, shares={"push": 3})
+    counts = np.bincount(code_of(sampler, rows_of(list(sampler))), minlength=8) / (12 * 400)
+    wanted = [(3 if label[0] == "push" else 1) / 12 for label in sampler.strata.labels]
+    assert np.abs(counts - wanted).max() < (1e-9 if mode == "exact" else 0.03)
+    with pytest.raises(InputError, match="target: 'uniform' here"):
+        BalancedSampler(columns, 12, mode=mode, num_samples=12 * 400).load_state_dict(sampler.state_dict())
+
+
+@pytest.mark.parametrize("mode", ["exact", "average"])
 def test_ranks_share_one_global_batch(mode: Any) -> None:
     """The union over ranks is the same for every number of ranks, and each rank has its part of every stratum."""
     columns = uneven()
@@ -301,6 +313,10 @@ def test_a_batch_smaller_than_the_strata() -> None:
             "too small for exact batches",
             {"columns": {"task": np.arange(20_000)}, "by": "task", "batch_size": 1, "rotate": True},
         ),
+        ("no row has task=tusk", {"shares": {"tusk": 2}}),
+        ("share of push is 0", {"shares": {"push": 0}}),
+        ("share of push is inf", {"shares": {"push": float("inf")}}),
+        ("share of push is '2'", {"shares": {"push": "2"}}),
         ("is not a table", {"columns": 5}),
         ("has no rows", {"columns": {"task": [], "success": []}}),
         ("missing values", {"columns": {"task": ["a", None], "success": [True, False]}}),
