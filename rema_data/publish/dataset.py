@@ -92,7 +92,7 @@ def _write_viewer(release: ReleaseFolder, folder: Path, progress: Progress) -> N
     progress.phase("viewer", sum(block.steps for block in release.manifest.blocks))
     for block in release.manifest.blocks:
         with new_file(folder / steps_path(block.key)) as file:
-            write_steps(file, _pieces(release.block(block), progress), "metres")
+            write_steps(file, _pieces(release.block(block), progress), "metres", release.manifest.schema_version)
 
 
 def _pieces(block: BlockReader, progress: Progress) -> Iterator[Piece]:
