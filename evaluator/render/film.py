@@ -89,7 +89,8 @@ class _Filming(Simulator):
         world = self.world
         parameters = parameters_of(situation, self.parameters)
         cast = _roles(aimed_at(situation, executed(situation, Action(action).pose), parameters))
-        world.look = lambda: shots.append(shot_of_world(world, cast))
+        offset = (0.0, 0.0) if situation.variation is None else situation.variation.mass_offset_m
+        world.look = lambda: shots.append(shot_of_world(world, cast, offset))
         outcome = self.run(situation, action)
         if shots:
             world.look()  # the end
