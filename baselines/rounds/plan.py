@@ -156,7 +156,7 @@ class _Policy:
 _Use = Annotated[_Policy, BeforeValidator(lambda value: {"code": value} if isinstance(value, str) else value)]
 
 
-def _axes(names: tuple[str, ...]) -> tuple[str, ...]:
+def _axes(names: list[str]) -> list[str]:
     for name in names:
         if name not in AXES:
             raise ValueError(f"has the axis {name!r}: use some of {', '.join(AXES)}")
@@ -167,7 +167,7 @@ def _axes(names: tuple[str, ...]) -> tuple[str, ...]:
 
 @record
 class _Vary:
-    axes: Annotated[tuple[str, ...], Field(min_length=1), AfterValidator(_axes)]
+    axes: Annotated[list[str], Field(min_length=1), AfterValidator(_axes)]
     clean: Annotated[float, Field(ge=0, lt=1)] = CLEAN
 
 
