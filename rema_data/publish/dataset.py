@@ -60,7 +60,9 @@ def publish_release(
             _write_viewer(release, folder / VIEWER, sink)
         for shown in _SHOWN:
             shutil.copyfile(folder / manifest.name / shown, folder / shown)
-        write_atomic(folder / "croissant.json", json.dumps(croissant(manifest, beside=True), indent=1) + "\n")
+        version = min(release.block(block).version() for block in manifest.blocks)
+        description = croissant(manifest, beside=True, version=version)
+        write_atomic(folder / "croissant.json", json.dumps(description, indent=1) + "\n")
         write_atomic(folder / "README.md", dataset_card(manifest, name, viewer))
     files = [path for path in target.rglob("*") if path.is_file()]
     return Published(target, "dataset", len(files), sum(path.stat().st_size for path in files))

@@ -14,7 +14,7 @@ from rema_data.release.datasheet import has_varied
 from rema_data.release.licences import licence_url
 from rema_data.release.manifest import FileEntry, Manifest
 from rema_data.store.block import EPISODES, STEPS
-from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, Column, columns_at, version_with
+from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, Column, columns_at
 
 __all__ = ["croissant"]
 
@@ -87,15 +87,15 @@ _MAPS = (
 )
 
 
-def croissant(manifest: Manifest, beside: bool = False) -> dict[str, Any]:
+def croissant(manifest: Manifest, beside: bool = False, version: int | None = None) -> dict[str, Any]:
     """Croissant description of a release as a JSON-LD object; ``manifest`` is a draft that lists the data files.
 
     Files of blocks that lie in the folder of an earlier release are listed too; the records are those of the release's
     own folder. ``beside``: the description will lie beside the folders of the releases instead, and its records are
-    those of all of them: without the optional columns, which the tables of an earlier release may lack.
+    those of all of them. Records have the columns of ``version``, the earliest schema version of these tables; by
+    default that of the release.
     """
-    mixed = beside and any(block.holder != manifest.name for block in manifest.blocks)
-    version = version_with() if mixed else manifest.schema_version
+    version = manifest.schema_version if version is None else version
     dated = {"datePublished": manifest.published} if manifest.published else {}
     based = {} if manifest.parent is None or beside else {"isBasedOn": f"../{manifest.parent.name}/croissant.json"}
     return {

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 import rema_data
+from rema_data.convert import export_release, import_release
 from rema_data.diff import diff_releases
 from rema_data.errors import IntegrityError
 from rema_data.gallery import find_steps
@@ -26,6 +27,7 @@ from rema_data.testing import make_release, synthetic_episode
 from rema_data.variation import variation_from_text, variation_text
 from rema_data.verify import verify
 
+reads_croissant = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
 KEY = BlockKey(1, "grasp_push", "train")
 
 
@@ -147,7 +149,7 @@ def test_a_difference_in_what_is_varied_is_found(varied: ReleaseFolder, tmp_path
     assert "target_shape" in tables["steps"]
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+@reads_croissant
 def test_the_card_explains_it(varied: ReleaseFolder, caplog: pytest.LogCaptureFixture) -> None:
     sheet = (varied.path / "DATASHEET.md").read_text()
     assert "## Varied episodes" in sheet and "| `variation` | string |" in sheet
@@ -157,7 +159,7 @@ def test_the_card_explains_it(varied: ReleaseFolder, caplog: pytest.LogCaptureFi
     assert sum(isinstance(text, bytes) for text in told) == 36
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+@reads_croissant
 def test_a_release_with_earlier_blocks_is_published(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """The description of all tables has the columns that all of them have."""
     parent = make_release(tmp_path / "root", "older", tasks=("grasp",), episodes=5)
@@ -169,6 +171,24 @@ def test_a_release_with_earlier_blocks_is_published(tmp_path: Path, caplog: pyte
     publish_release(made, tmp_path / "hub")
     records = _records(tmp_path / "hub" / "croissant.json", caplog)
     assert len(records) == made.manifest.counts["episodes"] and "episodes/variation" not in records[0]
+
+
+@reads_croissant
+def test_a_copy_of_blocks_of_both_versions_describes_what_all_of_them_have(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """An import under another name holds them all itself."""
+    parent = make_release(tmp_path / "root", "older", tasks=("grasp",), episodes=5)
+    keys = [block.key for block in parent.manifest.blocks]
+    made = make_release(
+        *(tmp_path / "root", "newer", ("push",), (2,), 6), parent=parent.manifest, reused=keys, varied=True
+    )
+    export_release(made, tmp_path / "export")
+    copy = import_release([tmp_path / "export"], tmp_path / "back", "copy").release
+    assert copy.manifest.schema_version == 2
+    assert [copy.block(block).version() for block in copy.manifest.blocks] == [1, 1, 2, 2]
+    records = _records(copy.path / "croissant.json", caplog)
+    assert len(records) == copy.manifest.counts["episodes"] and "episodes/variation" not in records[0]
 
 
 def _records(path: Path, caplog: pytest.LogCaptureFixture) -> list[Any]:
