@@ -6,6 +6,7 @@ import dataclasses
 import errno
 import json
 import os
+import re
 import shutil
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,7 +18,7 @@ from filelock import FileLock
 
 from baselines.rounds.play import draw_scenario
 from baselines.rounds.work import work_path
-from evaluator.scenarios import load_list
+from evaluator.scenarios import VERSION, load_list
 from evaluator.scenarios.varied import Vary
 from rema_data.errors import (
     InfrastructureError,
@@ -127,22 +128,28 @@ def test_a_sealed_plan_is_not_collected_again(tmp_path: Path, finished: ReleaseF
     assert tree(finished.path) == before and not work.exists()
 
 
-@pytest.mark.parametrize("kind", ["a frozen scenario", "a scene of the other split"])
+@pytest.mark.parametrize("kind", ["a frozen scenario", "a scenario of a suite", "a scene of the other split"])
 def test_a_scene_that_is_kept_for_evaluation_is_not_sealed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
+    versions = {"a frozen scenario": VERSION, "a scenario of a suite": "hard-v1"}
+    lists = {name: load_list("grasp", "test", version).scenarios for name, version in versions.items()}
+    shaped = next(one for one in lists["a scenario of a suite"] if one.variation and one.variation.axis == "shape")
+    frozen = {"a frozen scenario": lists["a frozen scenario"][4], "a scenario of a suite": shaped}
+
     def leaking(seed: int, block: BlockKey, index: int, vary: Vary | None) -> Scenario:
         drawn = draw_scenario(seed, block, index, vary)
         if (block.split, index) != ("val", 1):
             return drawn
-        other = load_list("grasp").scenarios[4] if kind == "a frozen scenario" else None
-        first = (other or draw_scenario(seed, block._replace(split="train"), 7)).placements[0]
+        other = frozen.get(kind) or draw_scenario(seed, block._replace(split="train"), 7)
+        first = other.placements[0]
         return dataclasses.replace(drawn, placements=(first, *drawn.placements[1:]))
 
     monkeypatch.setattr("baselines.rounds.play.draw_scenario", leaking)
     with pytest.raises(IntegrityError, match="row 1 of round-1/grasp/val in tiny may not be sealed") as caught:
         collect_fake(write_plan(tmp_path), tmp_path)
-    assert ("/grasp/test/00004" in str(caught.value)) == (kind == "a frozen scenario")
+    named = re.findall(r"([\w-]+)/grasp/test/(\d+)", str(caught.value))
+    assert named == ([(versions[kind], f"{frozen[kind].index:05d}")] if kind in frozen else [])
     assert not (tmp_path / "tiny").exists()
 
 
