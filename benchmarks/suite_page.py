@@ -25,6 +25,7 @@ from evaluator.scenarios.axes import AXES, Axis
 from evaluator.scenarios.lists import installed_list
 from evaluator.scenarios.suite import CELL, TRIES, vary
 from evaluator.scenarios.suites import cells
+from evaluator.scenarios.varied import CLEAN
 from evaluator.sim.observation import observe
 from evaluator.sim.simulator import Simulator
 from rema_data.grid import EE_HALF_M, SCENE_HALF_M
@@ -87,6 +88,29 @@ ranks.
 
 Where other loose objects lie beside the target (`clutter`), lifting any one of them, alone, counts: the one between the
 fingers is the target of the attempt.
+
+## Training data with the same changes
+
+A round of a collection plan may vary its episodes by the same axes:
+
+```toml
+[[rounds]]
+policy = "random"
+picks = "reference"
+episodes = {{ train = 2000, val = 200 }}
+tasks = ["grasp", "grasp_push"]
+vary = ["clutter", "tool", "sense"]     # or vary = {{ axes = ["clutter", "tool", "sense"], clean = 0.1 }}
+```
+
+Of the episodes, {clean:.0%} are clean, or the share that the plan says. Each of the others has one axis, of those that
+its task has, at one of its levels; axes, and levels of an axis, are drawn equally often, from the generator of the
+episode. Scenes are those of the collection, so none is one of a suite. Nobody looks whether an episode can be solved,
+and tools are picked by the policy of the first steps. Clean episodes keep every byte: a plan without `vary` makes the
+release that it always made. [dataset.md](dataset.md#varied-episodes) says how a release records what is varied.
+
+`rema rounds manifests/plans/rema-v1-hard.toml` continues rema-v1 with 22,000 such episodes, and trains the networks
+`robust/grasp` and `robust/push` on both. A policy that has learned from varied scenes is an adapted one: say so where
+you report it, and compare it with others of its kind.
 """
 
 
@@ -180,6 +204,7 @@ def main() -> None:
     text = _TEXT.format(
         **CELL,
         tries=TRIES,
+        clean=CLEAN,
         frozen=frozen_text(),
         redrawn=redrawn_table(),
         axes=axes_table(),

@@ -16,6 +16,7 @@ from rema_data.heights import decode_heights, unpack_mask
 from rema_data.release.folder import ReleaseFolder
 from rema_data.schema import Observation
 from rema_data.store.block import BlockReader
+from rema_data.store.columns import VARIATION
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -30,7 +31,7 @@ _MOST = np.iinfo(np.int32).max
 class GalleryStep:
     """A step to look at."""
 
-    row: Mapping[str, Any]  # of ``steps.parquet``: see ``rema_data.store.columns.STEP_COLUMNS``
+    row: Mapping[str, Any]  # of ``steps.parquet``, with its episode's ``variation``: see ``rema_data.store.columns``
     observation: Observation
 
 
@@ -65,7 +66,7 @@ def find_steps(
     blocks = [block for block in wanted if block.key in local]
     if not blocks:
         release.require(wanted)
-    tables = [_kept(release.block(block).steps(), episodes, which, success, failure) for block in blocks]
+    tables = [_kept(_steps(release.block(block)), episodes, which, success, failure) for block in blocks]
     ends = np.cumsum([table.num_rows for table in tables])
     chosen = np.arange(ends[-1])
     if not len(chosen):
@@ -80,6 +81,13 @@ def find_steps(
         here = chosen[(chosen >= end - table.num_rows) & (chosen < end)] - (end - table.num_rows)
         found += steps_with_maps(release.block(block), table.take(here).to_pylist())
     return found
+
+
+def _steps(reader: BlockReader) -> pa.Table:
+    """The steps of a block, with the variation of their episodes."""
+    episodes = reader.episodes()
+    rows = np.repeat(np.arange(len(episodes)), episodes["steps"].to_numpy())
+    return reader.steps().append_column(VARIATION, episodes[VARIATION].take(rows))
 
 
 def _kept(
@@ -103,7 +111,7 @@ def _kept(
 
 
 def steps_with_maps(reader: BlockReader, rows: Sequence[Mapping[str, Any]]) -> Iterator[GalleryStep]:
-    """Rows of a block's ``steps.parquet``, each with what was observed; raises as ``find_steps`` about damage."""
+    """Rows of a block's steps, each with what was observed; raises as ``find_steps`` about damage."""
     maps = reader.maps()
     for row in rows:
         scene, depth = (

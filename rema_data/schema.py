@@ -29,15 +29,15 @@ from rema_data.errors import InputError
 if TYPE_CHECKING:
     from rema_data.variation import Variation
 
-SCHEMA_VERSION = 1
-"""Of the stored tables: the newest ``since`` of a column in ``rema_data.store.columns``."""
+SCHEMA_VERSION = 2
+"""Of the stored tables that are read: the newest ``since`` of a column in ``rema_data.store.columns``."""
 
 HEIGHT_STEP_M = 1e-4
 """Resolution of a stored height: maps are canonical multiples of 0.1 mm."""
 
 
 class Shape(StrEnum):
-    """The three seed shapes (paper, section 4), then those of the suites, which no release has."""
+    """The three seed shapes (paper, section 4), then those of the suites and of varied episodes."""
 
     I = "I"
     L = "L"
@@ -56,7 +56,7 @@ class Shape(StrEnum):
 
 
 SEED_SHAPES = (Shape.I, Shape.L, Shape.T)
-"""The shapes of the paper, of every release, and of the clean scenario lists."""
+"""The shapes of the paper, of clean episodes, and of the clean scenario lists."""
 
 
 class Primitive(StrEnum):
@@ -217,7 +217,7 @@ class Situation:
     target: Placement  # the object of this step
     grips: tuple[Grip, ...] = ()  # tools in hand: the first in the left hand when there are two
     pinch: Pinch | None = None
-    variation: Variation | None = None  # of a suite's scenario: what is other than in the clean protocol
+    variation: Variation | None = None  # of a varied last step: what is other than in the clean protocol
 
     @property
     def kind(self) -> StepKind:
@@ -243,22 +243,25 @@ class Scenario:
     placements: tuple[Placement, ...]  # the object of every step, in order
     grips: tuple[Grip, ...] = ()  # as the reference policy picked them; empty where the task has no tools
     pinch: Pinch | None = None  # as the reference policy pinched it, for ``grasp_grasp_push``
-    variation: Variation | None = None  # of a scenario of a suite, whose last step it changes
+    variation: Variation | None = None  # of a scenario of a suite or a varied episode, whose last step it changes
 
     def last_situation(self) -> Situation:
         """The last step, with the scenario's tools in hand (conditional protocol)."""
-        last = len(self.placements) - 1
-        return Situation(self.task, last, self.placements[-1], self.grips, self.pinch, self.variation)
+        return self._situation(len(self.placements) - 1, self.grips, self.pinch)
 
     def first_situation(self) -> Situation:
         """The first step, with empty hands (end-to-end protocol)."""
-        return Situation(self.task, 0, self.placements[0])
+        return self._situation(0)
 
     def next_situation(self, done: Situation, outcome: StepOutcome) -> Situation:
         """The step after ``done``, which succeeded with ``outcome``."""
         step = done.step + 1
         grips = done.grips if outcome.grip is None else (*done.grips, outcome.grip)
-        return Situation(self.task, step, self.placements[step], grips, outcome.pinch)
+        return self._situation(step, grips, outcome.pinch)
+
+    def _situation(self, step: int, grips: tuple[Grip, ...] = (), pinch: Pinch | None = None) -> Situation:
+        variation = self.variation if step == len(self.placements) - 1 else None
+        return Situation(self.task, step, self.placements[step], grips, pinch, variation)
 
 
 @dataclass(frozen=True, slots=True)
@@ -373,6 +376,7 @@ class Episode:
     index: int  # position in its (round, task, split), from 0
     seed: int  # root seed of the collection; with task, round, split and index it keys everything that was drawn
     steps: tuple[Step, ...]
+    variation: Variation | None = None  # what its last step changes, whether that was reached or not
 
     @property
     def success(self) -> bool:

@@ -27,6 +27,7 @@ from rema_data.pictures import (
 )
 from rema_data.schema import TASKS
 from rema_data.storage import write_atomic
+from rema_data.store.tables import variation_of
 
 if TYPE_CHECKING:
     from PIL import Image, ImageDraw
@@ -43,7 +44,7 @@ _PAGE = (233, 231, 226)
 
 def describe(row: Mapping[str, Any]) -> tuple[str, str, str, str]:
     """Where a step comes from, who acted, the action, and the evidence, each in one line."""
-    steps = len(TASKS[row["task"]])
+    steps, variation = len(TASKS[row["task"]]), variation_of(row)
     evidence = f"lifted {row['lift_m'] * 100:.1f} cm"
     if row["primitive"] == "push":
         evidence = f"moved {row['displacement_m'] * 100:+.1f} cm in x"
@@ -51,7 +52,8 @@ def describe(row: Mapping[str, Any]) -> tuple[str, str, str, str]:
         evidence += f", {row['peak_force_n']:.0f} N"
     return (
         f"{row['task']}, step {row['step'] + 1} of {steps}",
-        f"round {row['round']} {row['split']}, episode {row['episode']}, {row['policy']}",
+        f"round {row['round']} {row['split']}, episode {row['episode']}, {row['policy']}"
+        + (f", {variation.cell}" if variation is not None else ""),
         action_text((row["i"], row["j"], row["k"]), (row["x_m"], row["y_m"], row["theta_rad"])),
         f"{evidence}, {row['sim_steps']} simulation steps",
     )

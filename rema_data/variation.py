@@ -1,18 +1,31 @@
-"""What a scenario of a suite changes. A policy sees none of this but by its maps, and by what its actions do.
+"""What is changed in a scenario of a suite, or in a varied episode. A policy sees it by its maps and actions only.
 
-Everything here is part of a frozen list: an observation and an outcome are still pure functions of a situation and an
-action. A clean scenario has no variation.
+Everything here is part of a frozen list, or of a release: an observation and an outcome are still pure functions of a
+situation and an action. A clean scenario has no variation.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import json
 from dataclasses import dataclass
-from typing import Any
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 from rema_data.schema import ObjectSpec, Placement, Shape
 
-__all__ = ["Displacement", "Sense", "Variation", "compact", "variation_from_dict"]
+if TYPE_CHECKING:
+    import pydantic
+
+__all__ = [
+    "Displacement",
+    "Sense",
+    "Variation",
+    "compact",
+    "variation_from_dict",
+    "variation_from_text",
+    "variation_text",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,9 +49,10 @@ class Displacement:
 
 @dataclass(frozen=True, slots=True)
 class Variation:
-    """What is other than in the clean protocol, in one scenario of a suite.
+    """What is other than in the clean protocol, in the last step of one scenario of a suite or of one episode.
 
-    ``axis`` and ``level`` name its cell. ``base`` is the index of the clean scenario that it was made of.
+    ``axis`` and ``level`` name its cell. ``base`` is the index of the clean scenario that it was made of; of an
+    episode, its own number.
     """
 
     axis: str
@@ -51,7 +65,12 @@ class Variation:
     sense: Sense | None = None
     register: Displacement | None = None  # of the world against the maps, about the centre of the workspace
     act: Displacement | None = None  # of the hand against its goal, about the hand
-    seen: str = ""  # sha256 of the maps that the last step shows, as they were when the list was frozen
+    seen: str = ""  # sha256 of the maps that the last step shows, as they were when the list was frozen; of lists only
+
+    @property
+    def cell(self) -> str:
+        """Axis and level, for people."""
+        return f"{self.axis} {self.level}"
 
 
 def variation_from_dict(row: dict[str, Any]) -> Variation:
@@ -77,3 +96,23 @@ def compact(variation: Variation) -> dict[str, Any]:
     """A variation as plain values, without the fields that have their default: what a list stores."""
     defaults = {item.name: item.default for item in dataclasses.fields(Variation)}
     return {name: value for name, value in dataclasses.asdict(variation).items() if value != defaults.get(name)}
+
+
+def variation_text(variation: Variation) -> str:
+    """A variation as JSON, the same text for the same variation: what a release stores."""
+    return json.dumps(compact(variation), separators=(",", ":"))
+
+
+def variation_from_text(text: str) -> Variation:
+    """Inverse of ``variation_text``; raises ValueError for any other text."""
+    found = _checked().validate_json(text)
+    if variation_text(found) != text:
+        raise ValueError("it is not written as it would be stored")
+    return found
+
+
+@cache
+def _checked() -> pydantic.TypeAdapter[Variation]:
+    import pydantic  # reading clean data does without it
+
+    return pydantic.TypeAdapter(Variation)

@@ -24,9 +24,9 @@ from rema_data.release.folder import ReleaseFolder, find_release
 from rema_data.release.manifest import MANIFEST, parse_manifest
 from rema_data.release.registry import load_published, published
 from rema_data.release.seal import seal
-from rema_data.schema import SCHEMA_VERSION
 from rema_data.storage import file_sha256
 from rema_data.store.block import BlockKey, BlockReader, BlockWriter, encode_episodes
+from rema_data.store.columns import VARIATION, version_with
 from rema_data.verify.leakage import Scenes, frozen_scenes
 
 __all__ = ["Collected", "collect", "inherit"]
@@ -114,20 +114,28 @@ class _Collection:
         self.work = work_path(output, plan.about.name)
         self.policies = BehaviourPolicies(plan.blocks, backend, self.work)
         self.fingerprint: dict[str, str] = call_in_child(backend.fingerprint)
+        self.version = self.schema_version()
         self.identity = {  # all that decides a byte of a chunk, ready for JSON
-            "schema_version": SCHEMA_VERSION,
+            "schema_version": self.version,
             "seed": plan.seed,
             "blocks": [
                 {
                     "block": block.key.path,
                     "episodes": block.episodes,
                     "policies": [[use.spec.name, self.policies.digests[use], use.device] for use in block.policies],
+                    **({} if block.vary is None else {"vary": block.vary._asdict()}),
                 }
                 for block in plan.blocks
             ],
             "batches": [chunk_episodes, BATCH],
             "fingerprint": self.fingerprint,
         }
+
+    def schema_version(self) -> int:
+        """Of every block that is collected: the earliest version that has what the plan and its parent use."""
+        varies = any(block.vary is not None for block in self.plan.blocks)
+        continued = self.parent.manifest.schema_version if self.parent is not None and self.reused else 1
+        return max(continued, version_with(*([VARIATION] if varies else [])))
 
     @cached_property
     def plan_sha256(self) -> str:
@@ -189,12 +197,13 @@ class _Collection:
         if left < total:
             self.progress.note(f"resumed: {total - left:,} of {total:,} episodes are there")
         self.progress.phase("collect", left)
-        player = Player(self.plan.seed, self.backend, self.policies.of)
+        vary = {block.key: block.vary for block in self.plan.blocks}
+        player = Player(self.plan.seed, self.backend, self.policies.of, vary)
         try:
             with closing(self.policies), closing(start_engine(self.backend.simulator)) as running:
                 self.policies.start(chunk.block for chunk in missing)
                 for chunk, episodes in player.play(missing, running, self.progress.advance):
-                    work.commit(chunk, encode_episodes(episodes))
+                    work.commit(chunk, encode_episodes(episodes, self.version))
         except PolicyFailureError as error:
             error.hint = f"fix the policy, delete {self.work} and run the same command again"
             if any(self.work.glob("policy-*.log")):

@@ -17,6 +17,7 @@ from baselines.rounds.play import BehaviourPolicies, Player
 from baselines.rounds.work import Chunk, encoded
 from evaluator.engines import Engine, default_workers, engine_type, make_engine
 from evaluator.runner import Backend, default_backend
+from evaluator.scenarios.varied import Vary
 from rema_data.leftovers import temporary_folder
 from rema_data.progress import Progress, Silent
 from rema_data.schema import Episode
@@ -28,8 +29,8 @@ PILOT = 16
 """Episodes that are played of every kind, besides two that warm up."""
 _WARM_UP = 2
 
-Kind = tuple[str, tuple[PolicyUse, ...]]
-"""Task, and the policies of its steps: blocks of one kind take the same time an episode."""
+Kind = tuple[str, tuple[PolicyUse, ...], Vary | None]
+"""Task, the policies of its steps, and what is varied: blocks of one kind take the same time an episode."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +76,7 @@ def estimate(
         policies.start(block.key for block in kinds.values())
         running = stack.enter_context(closing(make_engine("inline", factory=backend.simulator)))
         for kind, block in kinds.items():
-            player = Player(plan.seed, backend, policies.of)
+            player = Player(plan.seed, backend, policies.of, {block.key: block.vary})
             rates[kind] = _measure(player, running, block, folder, progress)
     count = make_engine(engine, workers, address=address).workers
     place = engine_type(engine).place
@@ -95,7 +96,7 @@ def _expected(block: BlockPlan, rates: _Rates, workers: int, cores: int) -> Esti
 
 
 def _kind(block: BlockPlan) -> Kind:
-    return block.key.task, block.policies
+    return block.key.task, block.policies, block.vary
 
 
 def _measure(player: Player, engine: Engine, block: BlockPlan, folder: Path, progress: Progress) -> _Rates:

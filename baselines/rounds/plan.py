@@ -21,6 +21,10 @@
     episodes = { train = 200, val = 40 }
     tasks = ["grasp", "grasp_push"]
 
+    vary = ["clutter", "shape", "sense"]        # optional: half of the episodes are clean, in the others one of these
+                                                # axes of the suites changes the last step (docs/suite.md);
+                                                # or vary = { axes = ["clutter"], clean = 0.2 }
+
     [[rounds]]                                  # round 3: a task may have its own values
     picks = "reference"
     episodes = { train = 200, val = 40 }
@@ -45,6 +49,8 @@ from pydantic import AfterValidator, BeforeValidator, Field, StringConstraints, 
 from baselines.devices import LEARNED, inference_device
 from evaluator.policy.loading import PolicySpec, check_checkpoint, resolve
 from evaluator.policy.shipped import shipped_checkpoint
+from evaluator.scenarios.axes import AXES
+from evaluator.scenarios.varied import CLEAN, Vary, axes_in
 from rema_data.errors import InputError, MissingFileError, RemaError
 from rema_data.json_files import bounded_file
 from rema_data.release.licences import KNOWN_LICENCES
@@ -76,6 +82,7 @@ class BlockPlan:
     key: BlockKey
     episodes: int
     policies: tuple[PolicyUse, ...]
+    vary: Vary | None = None  # None where all episodes are clean
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,11 +156,30 @@ class _Policy:
 _Use = Annotated[_Policy, BeforeValidator(lambda value: {"code": value} if isinstance(value, str) else value)]
 
 
+def _axes(names: list[str]) -> list[str]:
+    for name in names:
+        if name not in AXES:
+            raise ValueError(f"has the axis {name!r}: use some of {', '.join(AXES)}")
+    if len(set(names)) < len(names):
+        raise ValueError("names an axis twice")
+    return names
+
+
+@record
+class _Vary:
+    axes: Annotated[list[str], Field(min_length=1), AfterValidator(_axes)]
+    clean: Annotated[float, Field(ge=0, lt=1)] = CLEAN
+
+
+_Varied = Annotated[_Vary, BeforeValidator(lambda value: {"axes": value} if isinstance(value, list) else value)]
+
+
 @record
 class _Task:
     policy: _Use
     episodes: Annotated[dict[Literal["train", "val"], _Count], Field(min_length=1)]
     picks: _Use | None = None
+    vary: _Varied | None = None
 
 
 @record
@@ -161,6 +187,7 @@ class _Round:
     policy: Any = None
     picks: Any = None
     episodes: Any = None
+    vary: Any = None
     tasks: Annotated[dict[str, _Task], Field(validate_default=True)] = field(default_factory=dict)
 
     @field_validator("tasks", mode="before")
@@ -226,10 +253,13 @@ def read_plan(content: dict[str, Any], path: Path, checkpoint: _Networks | None 
                 raise wrong(path, f"{where}.reuse", "has no parent to take the round from", 'name it: parent = "..."')
             reused.append(number)
             continue
-        for task, values in validated(_Round, table, str(path), at=where, hint=_HINT).tasks.items():
+        tasks = validated(_Round, table, str(path), at=where, hint=_HINT).tasks
+        _check_axes(path, where, tasks)
+        for task, values in tasks.items():
             policies = _policies(path, f"{where}.tasks.{task}", task, values, networks)
             counts = [(split, values.episodes[split]) for split in SPLITS if split in values.episodes]
-            blocks += [BlockPlan(BlockKey(number, task, split), count, policies) for split, count in counts]
+            vary = _vary(task, values)
+            blocks += [BlockPlan(BlockKey(number, task, split), count, policies, vary) for split, count in counts]
     if not blocks:
         raise wrong(path, "rounds", "collect nothing", "give at least one round without `reuse`")
     parent = plan.parent
@@ -240,6 +270,22 @@ def read_plan(content: dict[str, Any], path: Path, checkpoint: _Networks | None 
         raise wrong(path, "parent", f"names no folder: {error.strerror}", "check the path") from error
     about = Description(**{one.name: getattr(plan, one.name) for one in fields(Description)})
     return CollectionPlan(path, about, plan.seed, tuple(blocks), tuple(reused), parent)
+
+
+def _check_axes(path: Path, where: str, tasks: dict[str, _Task]) -> None:
+    """Raise where an axis is named that none of its tasks has."""
+    named = {axis: [t for t, v in tasks.items() if v.vary and axis in v.vary.axes] for axis in AXES}
+    for axis, of in named.items():
+        if of and not any(axes_in(task, [axis]) for task in of):
+            what = f"has the axis {axis!r}, which {', '.join(of)} {'does' if len(of) == 1 else 'do'} not have"
+            hint = f"leave it out; it belongs to {', '.join(AXES[axis].tasks)}"
+            raise wrong(path, f"{where}.vary", what, hint)
+
+
+def _vary(task: str, values: _Task) -> Vary | None:
+    """How the episodes of a task are varied: by those axes of its round that it has."""
+    axes = () if values.vary is None else axes_in(task, values.vary.axes)
+    return Vary(axes, values.vary.clean) if values.vary is not None and axes else None
 
 
 def _policies(path: Path, where: str, task: str, values: _Task, networks: _Networks) -> tuple[PolicyUse, ...]:

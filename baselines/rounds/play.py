@@ -7,7 +7,7 @@ is quick, or on what was played before.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -22,12 +22,13 @@ from evaluator.rollout.ask import actions, ask
 from evaluator.rollout.backend import Backend, PolicyProcess, check_digest
 from evaluator.rollout.episode import first_step, next_step
 from evaluator.run.plan import job_batches
+from evaluator.scenarios.varied import Vary, vary_episode
 from evaluator.sim.spawn import collection_generator, draw_episode
 from rema_data.errors import InfrastructureError, PolicyFailureError
-from rema_data.schema import Action, Episode, Observation, Placement, Scenario, Situation, Step
+from rema_data.schema import Action, Episode, Observation, Scenario, Situation, Step
 from rema_data.store.block import BlockKey
 
-__all__ = ["BATCH", "BehaviourPolicies", "Player", "draw_placements"]
+__all__ = ["BATCH", "BehaviourPolicies", "Player", "draw_scenario"]
 
 BATCH = 50
 """Observations in one question to a policy."""
@@ -35,10 +36,11 @@ _OPEN_CHUNKS = 4
 """Chunks under way at most: enough that no worker waits for the last episodes of another one's."""
 
 
-def draw_placements(seed: int, block: BlockKey, index: int) -> tuple[Placement, ...]:
-    """The objects of one episode of a block, for every step of its task."""
+def draw_scenario(seed: int, block: BlockKey, index: int, vary: Vary | None = None) -> Scenario:
+    """One episode of a block: the objects of every step of its task, and what is varied."""
     rng = collection_generator(seed, block.round, block.task, block.split, index)
-    return draw_episode(rng, block.task)
+    clean = Scenario(block.task, block.split, index, draw_episode(rng, block.task))
+    return clean if vary is None else vary_episode(clean, vary, rng)
 
 
 class _Behaviour(NamedTuple):
@@ -114,12 +116,18 @@ _Answer = tuple[_Behaviour, list[Observation], list[int]]
 class Player:
     """Plays chunks with an engine.
 
-    ``seed`` is the root seed of the plan; ``behaviour`` maps (block, step) to a policy; ``simulate_s`` counts the
-    seconds inside simulators, over all workers.
+    ``seed`` is the root seed of the plan; ``behaviour`` maps (block, step) to a policy, and ``vary`` a block to what is
+    varied in it; ``simulate_s`` counts the seconds inside simulators, over all workers.
     """
 
-    def __init__(self, seed: int, backend: Backend, behaviour: Callable[[BlockKey, int], _Behaviour]) -> None:
-        self._seed, self._backend, self._behaviour = seed, backend, behaviour
+    def __init__(
+        self,
+        seed: int,
+        backend: Backend,
+        behaviour: Callable[[BlockKey, int], _Behaviour],
+        vary: Mapping[BlockKey, Vary | None],
+    ) -> None:
+        self._seed, self._backend, self._behaviour, self._vary = seed, backend, behaviour, vary
         self._questions: deque[_Question] = deque()
         self._ready: deque[JobBatch] = deque()
         self._flying: dict[int, _Asked] = {}
@@ -139,14 +147,7 @@ class Player:
             for result in results:
                 done = self._take(result, advance)
                 if done is not None:
-                    block = done.chunk.block
-                    yield (
-                        done.chunk,
-                        [
-                            Episode(block.task, block.round, block.split, index, self._seed, tuple(done.steps[index]))
-                            for index in range(done.chunk.start, done.chunk.stop)
-                        ],
-                    )
+                    yield done.chunk, [self._episode(done, n) for n in range(done.chunk.start, done.chunk.stop)]
 
     def _job_batches(self, chunks: Iterator[Chunk]) -> Iterator[JobBatch]:
         """Work for the engine whenever it asks; an empty batch to be asked again after a result.
@@ -172,14 +173,19 @@ class Player:
                     return
 
     def _begin(self, chunk: Chunk) -> None:
-        task, split = chunk.block.task, chunk.block.split
+        vary = self._vary[chunk.block]
         scenarios = {
-            index: Scenario(task, split, index, draw_placements(self._seed, chunk.block, index))
-            for index in range(chunk.start, chunk.stop)
+            index: draw_scenario(self._seed, chunk.block, index, vary) for index in range(chunk.start, chunk.stop)
         }
         due = {index: first_step(scenario, "end-to-end") for index, scenario in scenarios.items()}
         self._open += 1
         self._next_step(_Open(chunk, scenarios, {index: [] for index in scenarios}, due))
+
+    def _episode(self, done: _Open, index: int) -> Episode:
+        """A finished episode of a chunk."""
+        block, variation = done.chunk.block, done.scenarios[index].variation
+        steps = tuple(done.steps[index])
+        return Episode(block.task, block.round, block.split, index, self._seed, steps, variation)
 
     def _next_step(self, opened: _Open) -> None:
         """Queue the questions about the next step of a chunk, in order of its episodes."""

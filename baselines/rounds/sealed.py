@@ -13,6 +13,9 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
+import pyarrow.compute as pc
+
 from baselines.rounds.plan import BlockPlan, CollectionPlan
 from baselines.rounds.recursion_plan import RecursionPlan, RoundPlan, networks_folder
 from baselines.tae.checkpoint import networks_in
@@ -24,6 +27,8 @@ from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import BlockEntry
 from rema_data.storage import storage_errors, write_atomic
 from rema_data.store.block import EPISODES
+from rema_data.store.columns import VARIATION, version_with
+from rema_data.store.tables import table_version, variation_of
 from rema_data.validation import validated
 
 __all__ = ["PLAYERS", "STAGES", "check_sealed", "note", "players_of", "read_notes"]
@@ -63,8 +68,8 @@ def check_sealed(plan: RecursionPlan, entry: RoundPlan, release: ReleaseFolder) 
     """Raise where a sealed round is not the one that the plan asks for.
 
     Compared are the blocks, their episodes, the names of the policies of every step, the seed that the episodes
-    record, and the networks that played, where the process that collected noted them. The code of the policies and the
-    simulator are not compared: the sealed episodes stay valid when these change.
+    record, the axes by which they are varied, and the networks that played, where the process that collected noted
+    them. The code of the policies and the simulator are not compared: the sealed episodes stay valid when these change.
 
     Raises RunMismatchError; MissingFileError without a network that plays the round; IntegrityError for damaged tables.
     """
@@ -85,9 +90,15 @@ def _difference(planned: CollectionPlan, plan: RecursionPlan, entry: RoundPlan, 
         reader = release.block(block)
         if not (reader.folder / EPISODES).is_file():  # a block that was not fetched
             continue
-        for seed in reader.episodes().column("seed").unique().to_pylist():
+        episodes = reader.episodes()
+        for seed in episodes.column("seed").unique().to_pylist():
             if seed != planned.seed:
                 return f"was drawn with the seed {seed}, not {planned.seed}, so it is not"
+        (vary,) = (one.vary for one in planned.blocks if one.key == block.key)
+        if others := _axes(episodes) - set(vary.axes if vary is not None else ()):
+            return f"has episodes that are varied by {', '.join(sorted(others))}, so it is not"
+        if vary is not None and table_version(episodes) < version_with(VARIATION):
+            return "has no varied episodes, so it is not"
     recorded = read_notes(release.root / CHECKPOINTS / plan.name / PLAYERS).get(entry.release)
     if recorded is not None:
         present = players_of(entry, release.root)
@@ -95,6 +106,12 @@ def _difference(planned: CollectionPlan, plan: RecursionPlan, entry: RoundPlan, 
         if changed:
             return f"was played by other networks ({', '.join(changed)}) than"
     return None
+
+
+def _axes(episodes: pa.Table) -> set[str]:
+    """The axes by which some episodes are varied."""
+    varied = episodes.filter(pc.is_valid(episodes[VARIATION])).to_pylist()
+    return {variation.axis for row in varied if (variation := variation_of(row)) is not None}
 
 
 def _fits(planned: BlockPlan, block: BlockEntry | None) -> bool:

@@ -40,7 +40,7 @@ from rema_data.storage import storage_errors, write_atomic
 from rema_data.store.block import BlockKey, EncodedMaps
 from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS
 from rema_data.store.maps import ARRAYS
-from rema_data.store.tables import checked_table, to_parquet
+from rema_data.store.tables import as_stored, checked_table, to_parquet
 
 __all__ = ["CHUNK_EPISODES", "Chunk", "WorkFolder", "cut", "encoded", "work_path"]
 
@@ -50,6 +50,7 @@ Content = tuple[pa.Table, pa.Table, EncodedMaps]
 """Episodes, steps and maps, as ``encode_episodes`` gives and ``BlockWriter.append`` takes them."""
 _LOG = "log"
 _TABLES = ("episodes", "steps")
+_COLUMNS = (EPISODE_COLUMNS, STEP_COLUMNS)
 _MAPS = ("scene", "ee_row", "ee_depth", "ee_mask")
 _MOST_STEPS = 100_000
 """Of a chunk: a line that names more is damaged."""
@@ -91,7 +92,8 @@ def encoded(content: Content) -> bytes:
     """A compressed npz of the maps and of both tables as Parquet bytes."""
     *tables, maps = content
     arrays: dict[str, Any] = {
-        name: np.frombuffer(to_parquet(table), np.uint8) for name, table in zip(_TABLES, tables, strict=True)
+        name: np.frombuffer(to_parquet(as_stored(table, columns)), np.uint8)
+        for name, table, columns in zip(_TABLES, tables, _COLUMNS, strict=True)
     }
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays, **{name: getattr(maps, name) for name in _MAPS})
@@ -107,7 +109,7 @@ def _decoded(data: bytes, episodes: int, steps: int) -> Content:
     try:
         tables = [
             checked_table(parquet_table(arrays[name].tobytes(), count), columns)
-            for name, count, columns in zip(_TABLES, (episodes, steps), (EPISODE_COLUMNS, STEP_COLUMNS), strict=True)
+            for name, count, columns in zip(_TABLES, (episodes, steps), _COLUMNS, strict=True)
         ]
     except pa.ArrowException as error:
         raise ValueError(f"a table of it cannot be read: {error}") from error

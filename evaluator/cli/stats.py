@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.text import Text
 
     from rema_data.release.folder import ReleaseFolder
-    from rema_data.statistics.count import Statistics, StepCount
+    from rema_data.statistics.count import AxisCount, Statistics, StepCount
     from rema_data.statistics.paper import Comparison, Counts, PaperRow
     from rema_data.statistics.values import ValueStatistics
 
@@ -107,6 +107,10 @@ def _print(found: Statistics) -> None:
         counts = ["episodes", "steps", "last steps", "+", "-", "% +"]
         title_of_sums = "all rounds and splits; + and - of the last steps"
         print_table(("task", *counts), _total_rows(found), title=title_of_sums, right=counts)
+        if found.axes:
+            counts = ["episodes", "last steps", "+", "-", "% +"]
+            title_of_axes = "by what is varied in the last step, all levels together"
+            print_table(("task", "axis", *counts), _axis_rows(found.axes), title=title_of_axes, right=counts)
     else:
         line(f"{title}: no block is on this machine")
     if found.missing:
@@ -132,6 +136,16 @@ def _total_rows(found: Statistics) -> Iterator[list[Text] | None]:
             yield None
         cells = (name, *(f"{value:,}" for value in counts), _percent(counts[3], counts[2]))
         yield styled(cells, "bold" if name == "sum" else "")
+
+
+def _axis_rows(axes: Iterable[AxisCount]) -> Iterator[tuple[str, ...] | None]:
+    for number, (task, of_task) in enumerate(groupby(axes, key=lambda row: row.task)):
+        if number:
+            yield None
+        for axis, levels in groupby(of_task, key=lambda row: row.axis):
+            rows = [(row.episodes, row.reached, row.positives, row.negatives) for row in levels]
+            sums = [sum(column) for column in zip(*rows, strict=True)]
+            yield task, axis or "clean", *(f"{value:,}" for value in sums), _percent(sums[2], sums[1])
 
 
 def _missing(found: Statistics) -> str:

@@ -64,7 +64,7 @@ class Draws:
 
         ``name`` is a position in the list of the domain (of ``val`` where the domain is ``train``), the name of a
         frozen scenario such as ``v1/grasp/test/00042``, or that of a collected episode (root seed, block, episode) such
-        as ``collected/0/round-1/grasp/train/17``.
+        as ``collected/0/round-1/grasp/train/17``. An episode that is varied there is clean here.
         """
         if not isinstance(name, str):
             return self._frozen("val" if self._domain == TRAIN else self._domain, int(name))
@@ -80,7 +80,7 @@ class Draws:
         return self._frozen(match["split"], int(match["index"]), match["version"])
 
     def _collected(self, name: str, parts: re.Match[str]) -> Start:
-        """The objects of a collected episode, drawn again. Tools get into the hands by its own first steps."""
+        """The objects of a collected episode, drawn again, as if it were clean. Its own first steps pick the tools."""
         if len(TASKS[self._task]) > 1 and not self._plan.end_to_end:
             raise InputError(
                 f"{name} begins with empty hands, and the conditional protocol with tools in hand",

@@ -206,7 +206,8 @@ def write_record(
 ) -> Path:
     """Simulate an entry that comes with rema, and write its verification record, ``verified/NAME.json`` beside it.
 
-    An entry that was simulated here before, as ``rema submit`` does, is not simulated again. An InputError for anything else than such an entry; IntegrityError where its earlier record has other rows.
+    An entry that was simulated here before, as ``rema submit`` does, is not simulated again. Raises InputError for
+    anything else than such an entry, IntegrityError where its earlier record has other rows.
     """
     folder = entry_folder()
     if run.recorded is None or run.source.resolve().parent != folder.resolve():

@@ -10,6 +10,7 @@ COLOURS: dict[str, Colour] = {
     "target": (0.84, 0.18, 0.16, 1.0),
     "tool": (0.16, 0.42, 0.78, 1.0),
     "held": (0.55, 0.24, 0.72, 1.0),
+    "other": (0.93, 0.62, 0.18, 1.0),
 }
 """Of an object, by what it is to the step."""
-COLOUR_NAMES = {"target": "red", "tool": "blue", "held": "purple"}
+COLOUR_NAMES = {"target": "red", "tool": "blue", "held": "purple", "other": "orange"}

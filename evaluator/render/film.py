@@ -14,6 +14,7 @@ from evaluator.sim.parameters import WORLD
 from evaluator.sim.reach import acting_arm
 from evaluator.sim.simulator import Simulator
 from evaluator.sim.staging import HandPose, Thing, target_thing
+from evaluator.sim.varied import aimed_at, executed, parameters_of, standing
 from evaluator.sim.world import World
 from rema_data import grid
 from rema_data.schema import Action, Failure, ObjectSpec, Scenario, Situation, StepOutcome
@@ -86,8 +87,10 @@ class _Filming(Simulator):
         """Outcome of one action, and shots of the way to it; none where nothing was simulated."""
         shots: list[Shot] = []
         world = self.world
-        cast = _roles(situation)
-        world.look = lambda: shots.append(shot_of_world(world, cast))
+        parameters = parameters_of(situation, self.parameters)
+        cast = _roles(aimed_at(situation, executed(situation, Action(action).pose), parameters))
+        offset = (0.0, 0.0) if situation.variation is None else situation.variation.mass_offset_m
+        world.look = lambda: shots.append(shot_of_world(world, cast, offset))
         outcome = self.run(situation, action)
         if shots:
             world.look()  # the end
@@ -126,10 +129,12 @@ def waiting_shot(situation: Situation, action: int) -> Shot:
 
 
 def _staged(situation: Situation, action: int, arm: str) -> tuple[list[HandPose], list[Thing]]:
-    """Hands that wait above the place of an action, and all objects: the target first."""
+    """Hands that wait above the place of an action, and all objects: the target first, then what stands beside it."""
     kind, pose = kind_of(situation), Action(action).pose
     hands = kind.hands(situation, pose, kind.start_height(situation, CLEARANCE_M), arm)
-    return hands, [target_thing(situation), *kind.held(situation, hands, pose)]
+    _, *beside = standing(situation)
+    placed = [Thing("other", one.spec, one.x_m, one.y_m, one.spec.height_m / 2, one.yaw_rad) for one in beside]
+    return hands, [target_thing(situation), *placed, *kind.held(situation, hands, pose)]
 
 
 def markers(situation: Situation, action: int) -> list[Marker]:

@@ -36,6 +36,7 @@ __all__ = [
     "Shot",
     "Studio",
     "View",
+    "about_z",
     "shot_of_stage",
     "shot_of_world",
 ]
@@ -92,8 +93,13 @@ class Shot:
     bodies: Sequence[Body]
 
 
-def shot_of_world(world: World, roles: Sequence[tuple[str, ObjectSpec]]) -> Shot:
-    """The present state of a simulated world; ``roles`` of its objects in the order in which they were placed."""
+def shot_of_world(
+    world: World, roles: Sequence[tuple[str, ObjectSpec]], mass_offset_m: tuple[float, float] = (0.0, 0.0)
+) -> Shot:
+    """The present state of a simulated world; ``roles`` of its objects in the order in which they were placed.
+
+    ``mass_offset_m`` is that of the first object's centre of mass from that of its shape.
+    """
     every = (*robots.ARM_JOINTS, *robots.FINGER_JOINTS)
     joints = {
         name: np.array([state[0] for state in world.client.getJointStates(arm.body, every)])
@@ -102,6 +108,9 @@ def shot_of_world(world: World, roles: Sequence[tuple[str, ObjectSpec]]) -> Shot
     bodies = []
     for (role, spec), body in zip(roles, world.objects, strict=False):
         position, quaternion = world.client.getBasePositionAndOrientation(body)
+        if not bodies and any(mass_offset_m):
+            off = [-mass_offset_m[0], -mass_offset_m[1], 0.0]
+            position, _ = world.client.multiplyTransforms(position, quaternion, off, [0.0, 0.0, 0.0, 1.0])
         bodies.append(Body(role, spec, position, quaternion))
     return Shot(joints, bodies)
 
@@ -116,10 +125,10 @@ def shot_of_stage(
         x, y, z, yaw = (np.array([value]) for value in (hand.x_m, hand.y_m, hand.z_m, hand.yaw_rad))
         arm = solve_path(base, x, y, z, yaw, symmetric, parameters)[0]
         joints[hand.arm] = np.append(arm, [hand.opening_m / 2] * 2)
-    return Shot(joints, [Body(role, spec, (x, y, z), _about_z(yaw)) for role, spec, x, y, z, yaw in things])
+    return Shot(joints, [Body(role, spec, (x, y, z), about_z(yaw)) for role, spec, x, y, z, yaw in things])
 
 
-def _about_z(yaw_rad: float) -> tuple[float, float, float, float]:
+def about_z(yaw_rad: float) -> tuple[float, float, float, float]:
     """Quaternion of a turn about the vertical."""
     return 0.0, 0.0, math.sin(yaw_rad / 2), math.cos(yaw_rad / 2)
 
@@ -173,7 +182,7 @@ class Studio:
             self._extras.append(self._object(body, colour, 0.0, half_z, body.position, body.quaternion))
             self._extras.append(self._shade(body))
         for x, y, half_x, half_y, yaw, paint in markers:
-            self._extras.append(self._box((x, y, 0.0008), (half_x, half_y, 0.0008), paint, _about_z(yaw)))
+            self._extras.append(self._box((x, y, 0.0008), (half_x, half_y, 0.0008), paint, about_z(yaw)))
         width, height = size
         client = self._client
         matrix = client.computeViewMatrix(view.eye, view.aim, (0, 0, 1))
@@ -222,7 +231,7 @@ class Studio:
         """The shadow of an object under light from above (TinyRenderer's own lays the whole table in the dark)."""
         x, y, _ = body.position
         yaw = self._client.getEulerFromQuaternion(body.quaternion)[2]
-        return self._object(body, _SHADE, 0.003, 0.0002, (x, y, 0.0004), _about_z(yaw))
+        return self._object(body, _SHADE, 0.003, 0.0002, (x, y, 0.0004), about_z(yaw))
 
     def _object(
         self, body: Body, colour: Colour, rim: float, half_z: float, position: Sequence[float], turn: Sequence[float]
@@ -232,6 +241,7 @@ class Studio:
             shapeTypes=[pybullet.GEOM_BOX] * len(parts),
             halfExtents=[[part.half_x + rim, part.half_y + rim, half_z] for part in parts],
             visualFramePositions=[[part.x, part.y, 0.0] for part in parts],
+            visualFrameOrientations=[about_z(part.yaw) for part in parts],
             rgbaColors=[colour] * len(parts),
         )
         return int(self._client.createMultiBody(0, -1, shape, position, turn))

@@ -49,7 +49,7 @@ def targets_of_list(task: str, split: str, version: str | None = None) -> Target
     placed = [scenario.placements[-1] for scenario in scenarios]
     rows = ((one.spec.shape.value, one.spec.length_m, one.spec.width_m, one.yaw_rad) for one in placed)
     shape, length, width, yaw = map(np.array, zip(*rows, strict=True))
-    cells = [f"{one.variation.axis} {one.variation.level}" for one in scenarios if one.variation is not None]
+    cells = [one.variation.cell for one in scenarios if one.variation is not None]
     return Targets(shape, length, width, yaw, np.array(cells) if cells else None)
 
 

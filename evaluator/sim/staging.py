@@ -29,7 +29,7 @@ class HandPose(NamedTuple):
 class Thing(NamedTuple):
     """An object that lies level: what it is to this step, what it is made of, and where its centre of mass is."""
 
-    role: str  # ``target``, ``tool`` (held by a hand) or ``held`` (pinched between two sticks)
+    role: str  # ``target``, ``tool`` (held by a hand), ``held`` (pinched between two sticks) or ``other`` (beside it)
     spec: ObjectSpec
     x_m: float
     y_m: float

@@ -111,6 +111,7 @@ def _log_action(rerun: Any, stream: Any, take: Take) -> None:
 def _log_objects(rerun: Any, stream: Any, shot: Any) -> None:
     """The objects of a moment, each as its boxes; what is gone is cleared."""
     from evaluator.render.colours import COLOURS
+    from evaluator.render.studio import about_z
 
     stream.log("world/objects", rerun.Clear(recursive=True))
     for number, body in enumerate(shot.bodies):
@@ -122,6 +123,7 @@ def _log_objects(rerun: Any, stream: Any, shot: Any) -> None:
             rerun.Boxes3D(
                 centers=[(part.x, part.y, 0.0) for part in parts],
                 half_sizes=[(part.half_x, part.half_y, body.spec.height_m / 2) for part in parts],
+                quaternions=[rerun.Quaternion(xyzw=about_z(part.yaw)) for part in parts],
                 colors=[tuple(round(255 * share) for share in COLOURS[body.role])] * len(parts),
             ),
         )

@@ -18,8 +18,8 @@ from rema_data.release.folder import ReleaseFolder, find_release
 from rema_data.release.manifest import BlockEntry
 from rema_data.schema import EVIDENCE
 from rema_data.store.block import EPISODES, STEPS, BlockReader
-from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS
-from rema_data.store.tables import situation_of
+from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, VARIATION
+from rema_data.store.tables import situation_of, variation_of
 
 if TYPE_CHECKING:
     from evaluator.render.film import FilmMaker, Take
@@ -46,6 +46,8 @@ _LAST = {
 }
 """Columns of ``steps.parquet``, taken from the last executed step of every episode: the one that decided it."""
 _OUTCOME = Field("outcome", "success, or failed", filtered=True)
+_CELL = Field("cell", "axis and level of the suites by which the last step is varied", filtered=True)
+_VARIED = ["task", "round", "split", "episode", VARIATION]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,13 +92,13 @@ class ReleaseSource(Source):
     def seen(self, place: int, step: int, play: Play) -> Seen:
         from rema_data.gallery import steps_with_maps  # imports Zarr
 
-        row = self._row(place, step)
-        (found,) = steps_with_maps(self._folder.block(self._at(place)[0].entry), [row])
-        return Seen(situation_of(row), found.observation)
+        (block, head), row = self._at(place), self._row(place, step)
+        (found,) = steps_with_maps(self._folder.block(block.entry), [row])
+        return Seen(situation_of(row, variation_of(head)), found.observation)
 
     def take(self, place: int, step: int, films: FilmMaker) -> Take:
-        row = self._row(place, step)
-        return films.take(situation_of(row), row["action"])
+        row, variation = self._row(place, step), variation_of(self._at(place)[1])
+        return films.take(situation_of(row, variation), row["action"])
 
     def _row(self, place: int, step: int) -> Any:
         return next(one.row for one in self.steps(place) if one.number == step)
@@ -161,7 +163,20 @@ def _table(blocks: Sequence[_Block]) -> EpisodeTable:
     outcome = pc.if_else(episodes["success"], "success", "failed")
     columns = {ID: ids, "outcome": outcome, **{name: steps[name] for name in wanted}}
     columns |= {name: episodes[name] for name in _EPISODE}
-    return EpisodeTable(_fields(), columns)
+    fields = _fields()
+    cells = [cell for block in blocks for cell in _cells(block.episodes)]
+    if any(cells):
+        columns[_CELL.name] = pa.array(cells)
+        fields.append(_CELL)
+    return EpisodeTable(fields, columns)
+
+
+def _cells(episodes: pa.Table) -> list[str | None]:
+    """Axis and level of every episode, None of a clean one."""
+    if episodes[VARIATION].null_count == len(episodes):
+        return [None] * len(episodes)
+    found = map(variation_of, episodes.select(_VARIED).to_pylist())
+    return [None if variation is None else variation.cell for variation in found]
 
 
 def _fields() -> list[Field]:

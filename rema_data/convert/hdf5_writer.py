@@ -24,7 +24,7 @@ from rema_data.release.manifest import BlockEntry
 from rema_data.schema import HEIGHT_STEP_M
 from rema_data.store.block import BlockReader
 from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, columns_at
-from rema_data.store.tables import as_stored, table_version
+from rema_data.store.tables import as_stored
 
 __all__ = ["write_file"]
 
@@ -175,7 +175,7 @@ class _Writer:
 
     def _write_columns(self, group: h5py.Group, reader: BlockReader, usual_version: int) -> None:
         steps = reader.steps()
-        version = min(table_version(steps), table_version(reader.episodes()))
+        version = reader.version()
         if version != usual_version:  # a block of an earlier release
             group.attrs["schema_version"] = version
             self._written.attributes(group.name, {"schema_version": version})

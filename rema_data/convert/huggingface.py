@@ -28,7 +28,7 @@ from rema_data.grid import EE_PIXELS, SCENE_PIXELS
 from rema_data.release.licences import hub_licence
 from rema_data.release.manifest import BlockEntry, Manifest
 from rema_data.storage import new_file, write_atomic
-from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, Column
+from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, VARIATION, Column, columns_at
 from rema_data.store.keys import SPLITS, BlockKey
 
 __all__ = ["HuggingFace", "column_lines", "config_lines", "steps_path", "write_steps"]
@@ -40,9 +40,15 @@ _MEANING = {
     "scene": "height above the table before the step",
     "end_effector": "height and mask of the acting hand at the start, height and mask at the end, at yaw 0",
 }
-_SEED = next(column for column in EPISODE_COLUMNS if column.name == "seed")
-_COLUMNS = (_SEED, *(column for column in STEP_COLUMNS if column.name not in ("scene_row", "ee_row")))
-"""All but the places of the maps in the release."""
+_OF_EPISODES = ("seed", VARIATION)
+"""Columns of ``episodes.parquet`` that every step of the episode has too."""
+
+
+def _columns(version: int) -> tuple[list[Column], list[Column]]:
+    """Columns of the episodes and of the steps in an export: all but the places of the maps in the release."""
+    of_episodes = [column for column in columns_at(EPISODE_COLUMNS, version) if column.name in _OF_EPISODES]
+    of_steps = [column for column in columns_at(STEP_COLUMNS, version) if column.name not in ("scene_row", "ee_row")]
+    return of_episodes, of_steps
 
 
 def steps_path(key: BlockKey) -> str:
@@ -63,7 +69,7 @@ class HuggingFace(FolderFormat):
         """See ``FolderFormat``."""
         for block in dataset.blocks:
             with new_file(dataset.folder / steps_path(block.key)) as file:
-                write_steps(file, dataset.pieces(block), dataset.maps)
+                write_steps(file, dataset.pieces(block), dataset.maps, dataset.release.manifest.schema_version)
         write_atomic(dataset.folder / "README.md", _card(dataset))
 
     def observations(self, dataset: SealedFolder, number: int, steps: int) -> Iterator[tuple[Array, Array]]:
@@ -72,12 +78,12 @@ class HuggingFace(FolderFormat):
             yield columns["scene"][..., None], np.moveaxis(columns["end_effector"], 1, -1)
 
 
-def write_steps(file: Any, pieces: Iterable[Piece], maps: Maps) -> None:
-    """Write pieces of a block to a file, a row a step."""
+def write_steps(file: Any, pieces: Iterable[Piece], maps: Maps, version: int) -> None:
+    """Write pieces of a block to a file, a row a step, with the columns of a schema version: that of the release."""
     writer = None
     try:
         for piece in pieces:
-            table = _table(piece, maps)
+            table = _table(piece, maps, version)
             writer = writer or parquet_writer(file, table.schema)
             writer.write_table(table, row_group_size=table.num_rows)
     finally:
@@ -85,18 +91,19 @@ def write_steps(file: Any, pieces: Iterable[Piece], maps: Maps) -> None:
             writer.close()
 
 
-def _table(piece: Piece, chosen: Maps) -> pa.Table:
+def _table(piece: Piece, chosen: Maps, version: int) -> pa.Table:
     maps = piece.maps
     end_effectors = planes_of_end_effectors(maps.ee_depth, maps.ee_mask, chosen)
-    counts = piece.episodes["steps"].to_numpy()
+    of_episodes, of_steps = _columns(version)
+    rows = np.repeat(np.arange(len(piece.episodes)), piece.episodes["steps"].to_numpy())
     columns = {
         "scene": nested(obs_of_scenes(maps.scene, chosen)[..., 0]),
         "end_effector": nested(end_effectors[maps.ee_row]),
-        "seed": pa.array(np.repeat(piece.episodes["seed"].to_numpy(), counts)),
-        **{column.name: piece.steps[column.name] for column in _COLUMNS if column is not _SEED},
+        **{column.name: piece.episodes[column.name].take(rows) for column in of_episodes},
+        **{column.name: piece.steps[column.name] for column in of_steps},
     }
     features = {name: array_feature(shape, obs_dtype(chosen)) for name, shape in _MAPS.items()}
-    features |= {column.name: feature(column.type) for column in _COLUMNS}
+    features |= {column.name: feature(column.type) for column in (*of_episodes, *of_steps)}
     table = pa.table(columns)
     return table.cast(with_features(table.schema, features))
 
@@ -112,8 +119,9 @@ def config_lines(blocks: Sequence[BlockEntry], within: str = "") -> list[str]:
     return lines
 
 
-def column_lines(tasks: Iterable[str], maps: Maps) -> list[str]:
-    """Body of a card: what the configurations and the columns are."""
+def column_lines(tasks: Iterable[str], maps: Maps, version: int) -> list[str]:
+    """Body of a card: what the configurations and the columns of a schema version are."""
+    of_episodes, of_steps = _columns(version)
     unit = "m" if maps == "metres" else "0.1 mm, from -10 mm"
     shown = [Column(name, obs_dtype(maps), meaning, unit) for name, meaning in _MEANING.items()]
     return [
@@ -123,7 +131,7 @@ def column_lines(tasks: Iterable[str], maps: Maps) -> list[str]:
         "",
         "| column | type | unit | frame | meaning |",
         "|---|---|---|---|---|",
-        *(f"| `{c.name}` | {c.type} | {c.unit} | {c.frame} | {c.meaning} |" for c in (*shown, *_COLUMNS)),
+        *(f"| `{c.name}` | {c.type} | {c.unit} | {c.frame} | {c.meaning} |" for c in (*shown, *of_episodes, *of_steps)),
     ]
 
 
@@ -152,7 +160,7 @@ def _card(dataset: NewDataset) -> str:
         f'steps = datasets.load_dataset("{manifest.name}", "{tasks[0]}", split="{dataset.blocks[0].split}")',
         "```",
         "",
-        *column_lines(tasks, dataset.maps),
+        *column_lines(tasks, dataset.maps, manifest.schema_version),
         "",
         f"Please cite: {manifest.citation}",
         "",

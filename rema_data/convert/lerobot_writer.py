@@ -29,13 +29,14 @@ from rema_data.convert.pieces import Piece
 from rema_data.heights import unpack_mask
 from rema_data.release.manifest import BlockEntry
 from rema_data.storage import new_file, write_atomic
+from rema_data.store.columns import EPISODE_COLUMNS, VARIATION, columns_at
 from rema_data.store.keys import SPLITS
 
 __all__ = ["write_dataset"]
 
 Array = npt.NDArray[Any]
-_EPISODE = ("round", "split", "episode", "seed", "success", "failure", "failed_step")
-"""Columns of ``episodes.parquet`` that ``meta/episodes`` has too."""
+_EPISODE = ("round", "split", "episode", "seed", "success", "failure", "failed_step", VARIATION)
+"""Columns of ``episodes.parquet`` that ``meta/episodes`` has too, where the release has them."""
 _CHUNK_FILES = 1000
 _FILE_MB, _VIDEO_MB = 100, 200
 """LeRobot's own defaults, for what is appended to the data set."""
@@ -117,6 +118,7 @@ class _Writer:
         ends = np.cumsum(lengths)
         zeros = pa.array(np.zeros(len(lengths), np.int64))
         task = INSTRUCTIONS[self._dataset.task]
+        known = columns_at(EPISODE_COLUMNS, self._dataset.release.manifest.schema_version)
         table = pa.table(
             {
                 "episode_index": np.arange(len(lengths)),
@@ -128,7 +130,7 @@ class _Writer:
                 "data/file_index": pa.array(self._files, pa.int64()),
                 "meta/episodes/chunk_index": zeros,
                 "meta/episodes/file_index": zeros,
-                **{name: episodes[name] for name in _EPISODE},
+                **{column.name: episodes[column.name] for column in known if column.name in _EPISODE},
                 **{name: nested(array) for name, array in statistics.episode_stats(columns, lengths).items()},
             }
         )

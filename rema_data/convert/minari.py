@@ -14,7 +14,8 @@
                 infos/outcome, infos/is_success     (n + 1,): those of the reset say nothing
         rema/                               what ``rema import`` needs (``seal``)
 
-The environment's ``valid`` is left out: Minari has no way to describe a mask of several axes.
+The environment's ``valid`` is left out: Minari has no way to describe a mask of several axes. Blocks with varied
+episodes are refused: the environment cannot play these.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from rema_data.convert.base import ExportOptions
+from rema_data.convert.base import ExportedFile, ExportOptions, ExportPlan
 from rema_data.convert.folders import FolderFormat, NewDataset
 from rema_data.convert.hdf5_file import open_file, reading
 from rema_data.convert.hdf5_parts import dataset as array_of
@@ -36,8 +37,11 @@ from rema_data.convert.minari_writer import MAIN, METADATA, dataset_name, metada
 from rema_data.convert.pieces import PIECE_STEPS
 from rema_data.convert.seal import SealedFolder
 from rema_data.errors import InputError
+from rema_data.progress import Progress
 from rema_data.release.manifest import Manifest
 from rema_data.storage import write_atomic
+from rema_data.store.block import BlockReader
+from rema_data.store.columns import VARIATION
 
 __all__ = ["Minari"]
 
@@ -61,6 +65,18 @@ class Minari(FolderFormat):
                 "the format minari has heights in metres, as its environments do", hint="leave out --maps quantised"
             )
 
+    def export(self, plan: ExportPlan, progress: Progress) -> list[ExportedFile]:
+        """See ``Format``; InputError for varied episodes, which the environments do not have."""
+        varied = [block.key.path for block in plan.blocks if _varies(plan.release.block(block))]
+        if varied:
+            raise InputError(
+                f"{varied[0]} of {plan.release.manifest.name} has varied episodes, which the format minari cannot "
+                "keep: its environments do not vary",
+                hint="choose another format, or other blocks: --task, --round",
+                blocks=varied,
+            )
+        return super().export(plan, progress)
+
     def write(self, dataset: NewDataset) -> None:
         """See ``FolderFormat``."""
         write_episodes(dataset)
@@ -83,6 +99,11 @@ class Minari(FolderFormat):
                     waiting = []
             if waiting:
                 yield _joined(waiting)
+
+
+def _varies(reader: BlockReader) -> bool:
+    column = reader.episodes()[VARIATION]
+    return column.null_count < len(column)
 
 
 def _maps(file: h5py.File, name: str) -> tuple[Array, Array]:

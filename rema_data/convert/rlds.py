@@ -24,7 +24,7 @@ import numpy.typing as npt
 from rema_data.convert.folders import FolderFormat, NewDataset
 from rema_data.convert.layout import INSTRUCTIONS, obs_dtype, obs_of_end_effectors, obs_of_scenes, trajectory
 from rema_data.convert.pieces import PIECE_STEPS, Piece
-from rema_data.convert.rlds_features import EPISODE_TEXTS, EPISODE_VALUES, MAPS, VERSION, features
+from rema_data.convert.rlds_features import EPISODE_VALUES, MAPS, VERSION, episode_texts, features
 from rema_data.convert.seal import SealedFolder, damaged
 from rema_data.convert.tfrecord import Values, byte_lists, example, read_records, write_record
 from rema_data.schema import TASKS
@@ -67,7 +67,7 @@ class Rlds(FolderFormat):
                         write_record(file, record)
                         sizes[block.key] += len(record)
         write_atomic(dataset.folder / "dataset_info.json", json.dumps(_info(dataset, sizes), indent=2) + "\n")
-        about = json.dumps(features(dataset.maps), indent=2)
+        about = json.dumps(features(dataset.maps, dataset.release.manifest.schema_version), indent=2)
         write_atomic(dataset.folder / "features.json", about + "\n")
 
     def observations(self, dataset: SealedFolder, number: int, steps: int) -> Iterator[tuple[Array, Array]]:
@@ -110,6 +110,7 @@ def _stacked(steps: list[list[Array]]) -> tuple[Array, Array]:
 def _records(piece: Piece, dataset: NewDataset) -> Iterator[bytes]:
     """An example an episode."""
     maps, about = piece.maps, trajectory(piece.steps)
+    names = episode_texts(dataset.release.manifest.schema_version)
     instruction = INSTRUCTIONS[dataset.task].encode()
     scenes = [zlib.compress(scene, _LEVEL) for scene in obs_of_scenes(maps.scene, dataset.maps)]
     hands = [zlib.compress(hand, _LEVEL) for hand in obs_of_end_effectors(maps.ee_depth, maps.ee_mask, dataset.maps)]
@@ -130,7 +131,7 @@ def _records(piece: Piece, dataset: NewDataset) -> Iterator[bytes]:
             "steps/is_terminal": about["dones"][at],
             "steps/language_instruction": [instruction] * count,
             **{f"steps/{name}": texts[name][at] for name in _TEXTS},
-            **{f"episode_metadata/{name}": [str(row[name] or "").encode()] for name in EPISODE_TEXTS},
+            **{f"episode_metadata/{name}": [str(row[name] or "").encode()] for name in names},
         }
         for name in EPISODE_VALUES:
             value = row[name]

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from rema_data.heights import unpack_mask
 from rema_data.schema import Episode, Observation, Situation, Step, StepOutcome
-from rema_data.store.tables import action_of, outcome_of, situation_of
+from rema_data.store.tables import action_of, outcome_of, situation_of, variation_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -56,13 +56,15 @@ def read_episodes(
 def _episode(head: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], cache: DecodedCache, first: int) -> Episode:
     """An episode from its row and those of its steps."""
     places = cache.index[first + head["first_step"] :][: len(rows)]
-    situations = [situation_of(row) for row in rows]
+    variation = variation_of(head)
+    situations = [situation_of(row, variation) for row in rows]
     done = []
     for row, place, situation, following in zip(rows, places, situations, [*situations[1:], None], strict=True):
         seen = observation(cache.maps, int(place["scene_row"]), int(place["ee_row"]))
         outcome = _held(outcome_of(row), situation, following)
         done.append(Step(situation, seen, action_of(row), outcome, row["policy"], row["policy_digest"]))
-    return Episode(head["task"], head["round"], head["split"], head["episode"], head["seed"], tuple(done))
+    place = head["task"], head["round"], head["split"], head["episode"]
+    return Episode(*place, head["seed"], tuple(done), variation)
 
 
 def _held(outcome: StepOutcome, situation: Situation, following: Situation | None) -> StepOutcome:

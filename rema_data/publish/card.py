@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 
 from rema_data.convert.huggingface import column_lines, config_lines
+from rema_data.release.datasheet import has_varied
 from rema_data.release.licences import hub_licence, licence_url
-from rema_data.release.manifest import BlockEntry, Manifest
+from rema_data.release.manifest import Manifest
 from rema_data.store.block import EPISODES, STEPS
 from rema_data.store.keys import SPLITS
 
@@ -38,7 +38,7 @@ def dataset_card(manifest: Manifest, repository: str, viewer: bool) -> str:
     steps = manifest.counts["steps"]
     tasks = list(dict.fromkeys(block.task for block in manifest.blocks))
     split = manifest.blocks[0].split
-    configs = config_lines(manifest.blocks, f"{VIEWER}/") if viewer else _table_configs(manifest.blocks)
+    configs = config_lines(manifest.blocks, f"{VIEWER}/") if viewer else _table_configs(manifest)
     first = tasks[0] if viewer else "steps"
     lines = [
         "---",
@@ -84,7 +84,7 @@ def dataset_card(manifest: Manifest, repository: str, viewer: bool) -> str:
         f'steps = datasets.load_dataset("{repository}", "{first}", split="{split}")',
         "```",
         "",
-        *(column_lines(tasks, "metres") if viewer else _TABLES),
+        *(column_lines(tasks, "metres", manifest.schema_version) if viewer else _tables(manifest)),
         "",
         "## Files",
         "",
@@ -109,17 +109,35 @@ def _others(manifest: Manifest) -> list[str]:
     return sorted({block.holder for block in manifest.blocks} - {manifest.name})
 
 
-_TABLES = (
-    "The configurations `steps` and `episodes` are the tables of the release, without maps: "
-    "the datasheet has their columns.",
-)
+def _mixed(manifest: Manifest) -> bool:
+    """Whether the tables of episodes of an earlier release have other columns: ``datasets`` takes one set of them."""
+    return has_varied(manifest) and bool(_others(manifest))
 
 
-def _table_configs(blocks: Sequence[BlockEntry]) -> list[str]:
+def _tables(manifest: Manifest) -> list[str]:
+    text = (
+        "The configurations `steps` and `episodes` are the tables of the release, without maps: "
+        "the datasheet has their columns."
+    )
+    return [text + " `episodes-earlier` are those of the blocks that it shares." * _mixed(manifest)]
+
+
+def _table_configs(manifest: Manifest) -> list[str]:
+    every = ["*"]
+    groups = [("steps", STEPS, manifest.blocks, every), ("episodes", EPISODES, manifest.blocks, every)]
+    if _mixed(manifest):
+        own = [block for block in manifest.blocks if block.holder == manifest.name]
+        shared = [block for block in manifest.blocks if block.holder != manifest.name]
+        groups[1:] = [
+            ("episodes", EPISODES, own, [manifest.name]),
+            ("episodes-earlier", EPISODES, shared, _others(manifest)),
+        ]
     lines = ["configs:"]
-    here = {block.split for block in blocks}
-    for table in (STEPS, EPISODES):
-        lines += [f"- config_name: {table.removesuffix('.parquet')}", "  data_files:"]
+    for name, table, blocks, folders in groups:
+        lines += [f"- config_name: {name}", "  data_files:"]
+        here = {block.split for block in blocks}
         for split in (split for split in SPLITS if split in here):
-            lines += [f"  - split: {split}", f'    path: "*/round-*/*/{split}/{table}"']
+            paths = [f'"{folder}/round-*/*/{split}/{table}"' for folder in folders]
+            lines += [f"  - split: {split}"]
+            lines += [f"    path: {paths[0]}"] if len(paths) == 1 else ["    path:", *(f"    - {one}" for one in paths)]
     return lines

@@ -60,7 +60,9 @@ def publish_release(
             _write_viewer(release, folder / VIEWER, sink)
         for shown in _SHOWN:
             shutil.copyfile(folder / manifest.name / shown, folder / shown)
-        write_atomic(folder / "croissant.json", json.dumps(croissant(manifest, beside=True), indent=1) + "\n")
+        version = min(release.block(block).version() for block in manifest.blocks)
+        description = croissant(manifest, beside=True, version=version)
+        write_atomic(folder / "croissant.json", json.dumps(description, indent=1) + "\n")
         write_atomic(folder / "README.md", dataset_card(manifest, name, viewer))
     files = [path for path in target.rglob("*") if path.is_file()]
     return Published(target, "dataset", len(files), sum(path.stat().st_size for path in files))
@@ -92,7 +94,7 @@ def _write_viewer(release: ReleaseFolder, folder: Path, progress: Progress) -> N
     progress.phase("viewer", sum(block.steps for block in release.manifest.blocks))
     for block in release.manifest.blocks:
         with new_file(folder / steps_path(block.key)) as file:
-            write_steps(file, _pieces(release.block(block), progress), "metres")
+            write_steps(file, _pieces(release.block(block), progress), "metres", release.manifest.schema_version)
 
 
 def _pieces(block: BlockReader, progress: Progress) -> Iterator[Piece]:

@@ -38,9 +38,12 @@ references:
 """
 
 
-def write_card(folder: Path, manifest: Manifest) -> None:
-    """Write the card of a release that is about to be sealed; ``manifest`` is a draft that lists the data files."""
-    description = json.dumps(croissant(manifest), indent=1, ensure_ascii=False) + "\n"
+def write_card(folder: Path, manifest: Manifest, version: int | None = None) -> None:
+    """Write the card of a release that is about to be sealed; ``manifest`` is a draft that lists the data files.
+
+    ``version`` is the earliest schema version of the release's own tables, by default that of the release.
+    """
+    description = json.dumps(croissant(manifest, version=version), indent=1, ensure_ascii=False) + "\n"
     texts = (_citation(manifest), datasheet(manifest), licence_notice(manifest), description)
     for name, text in zip(CARD, texts, strict=True):
         write_atomic(folder / name, text)

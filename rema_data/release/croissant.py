@@ -10,10 +10,11 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
+from rema_data.release.datasheet import has_varied
 from rema_data.release.licences import licence_url
 from rema_data.release.manifest import FileEntry, Manifest
 from rema_data.store.block import EPISODES, STEPS
-from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, Column
+from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, Column, columns_at
 
 __all__ = ["croissant"]
 
@@ -86,13 +87,15 @@ _MAPS = (
 )
 
 
-def croissant(manifest: Manifest, beside: bool = False) -> dict[str, Any]:
+def croissant(manifest: Manifest, beside: bool = False, version: int | None = None) -> dict[str, Any]:
     """Croissant description of a release as a JSON-LD object; ``manifest`` is a draft that lists the data files.
 
     Files of blocks that lie in the folder of an earlier release are listed too; the records are those of the release's
     own folder. ``beside``: the description will lie beside the folders of the releases instead, and its records are
-    those of all of them.
+    those of all of them. Records have the columns of ``version``, the earliest schema version of these tables; by
+    default that of the release.
     """
+    version = manifest.schema_version if version is None else version
     dated = {"datePublished": manifest.published} if manifest.published else {}
     based = {} if manifest.parent is None or beside else {"isBasedOn": f"../{manifest.parent.name}/croissant.json"}
     return {
@@ -111,8 +114,12 @@ def croissant(manifest: Manifest, beside: bool = False) -> dict[str, Any]:
         "keywords": ["robot learning", "manipulation", "tool use", "height maps", "offline dataset"],
         "isLiveDataset": False,
         **_RESPONSIBLE,
+        **(_VARIED if has_varied(manifest) else {}),
         "distribution": [*_tables(manifest, beside), *_file_sets("*/" if beside else "")],
-        "recordSet": [_record_set(*table) for table in _TABLES],
+        "recordSet": [
+            _record_set(name, file, columns_at(columns, version), meaning, key)
+            for name, file, columns, meaning, key in _TABLES
+        ],
     }
 
 
@@ -211,3 +218,10 @@ _RESPONSIBLE = {
     "rai:personalSensitiveInformation": ["None."],
     "rai:dataReleaseMaintenancePlan": "A release never changes. Corrections and additions are new releases.",
 }
+_VARIED = {
+    "rai:dataLimitations": [
+        "Simulation, open-loop actions on a discrete grid. Clean episodes have no sensor noise and three families of "
+        "flat objects; in a varied one (column variation) one such thing is changed in the last step."
+    ],
+}
+"""Of a release with varied episodes, in place of what is said of the others."""

@@ -8,10 +8,10 @@ from collections.abc import Iterable, Sequence
 from rema_data.heights import HEIGHT_ERROR_M, HEIGHT_OFFSET_M, MISSING
 from rema_data.release.licences import licence_url
 from rema_data.release.manifest import BlockEntry, Manifest
-from rema_data.schema import HEIGHT_STEP_M, TASKS, Failure
-from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, Column
+from rema_data.schema import HEIGHT_STEP_M, SEED_SHAPES, TASKS, Failure, Shape
+from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, VARIATION, Column, columns_at, version_with
 
-__all__ = ["column_table", "datasheet"]
+__all__ = ["column_table", "datasheet", "has_varied"]
 
 
 def datasheet(manifest: Manifest) -> str:
@@ -22,8 +22,9 @@ def datasheet(manifest: Manifest) -> str:
         "Collection process": _collection(manifest),
         "Encoding and its error": _encoding(),
         "Splits and the rule against leakage": _SPLITS,
-        "Columns of episodes.parquet": column_table(EPISODE_COLUMNS),
-        "Columns of steps.parquet": column_table(STEP_COLUMNS),
+        **({"Varied episodes": _varied()} if has_varied(manifest) else {}),
+        "Columns of episodes.parquet": column_table(columns_at(EPISODE_COLUMNS, manifest.schema_version)),
+        "Columns of steps.parquet": column_table(columns_at(STEP_COLUMNS, manifest.schema_version)),
         "Uses": _USES,
         "Known issues": _ISSUES,
         "Distribution and licence": _licence(manifest),
@@ -31,6 +32,11 @@ def datasheet(manifest: Manifest) -> str:
     }
     text = "\n".join(f"## {title}\n\n{body}\n" for title, body in sections.items())
     return f"# {manifest.title}\n\n`{manifest.name}`: {manifest.description}\n\n{text}"
+
+
+def has_varied(manifest: Manifest) -> bool:
+    """Whether something may be changed in the last step of some episodes of a release."""
+    return manifest.schema_version >= version_with(VARIATION)
 
 
 def column_table(columns: Iterable[Column]) -> str:
@@ -137,6 +143,22 @@ def _encoding() -> str:
         "packed eight pixels to a byte. End-effector maps that are equal to the last bit are stored once in a block. "
         "Every inner chunk of an array carries a CRC-32C, every Parquet page a checksum, and the manifest names the "
         "sha256 of every file."
+    )
+
+
+def _varied() -> str:
+    shapes = ", ".join(shape.value for shape in Shape if shape not in SEED_SHAPES)
+    return _wrapped(
+        "An episode may be varied: one thing is changed in its last step, as in the generalisation suites of "
+        "`rema evaluate`: what stands on the table, what is in the hand, what the maps show, where the hand goes, or "
+        "how the objects behave. The column `variation` of `episodes.parquet` says what, as JSON. It is null in a "
+        "clean episode, and a table without the column has clean episodes only. With it, observation and outcome of "
+        "the step can be made again. What this sheet says of the shapes I, L and T, and of maps without noise and "
+        f"hands that do not miss, is of clean episodes: varied ones may have objects of the shapes {shapes}, other "
+        "sizes, depth noise, and hands beside their goal. Where other loose objects lie beside the target, a grasp "
+        "that lifts any one of them, alone, succeeds, and the evidence is of that one. Whether a varied episode can be "
+        "solved at all was not looked at. Count them with `rema stats`, and leave them out with the condition "
+        f"`{VARIATION} is null`."
     )
 
 

@@ -29,7 +29,7 @@ from rema_data.release.entries import (
     check_name,
 )
 from rema_data.repair import copy_again
-from rema_data.schema import HEIGHT_STEP_M, SCHEMA_VERSION, TASKS
+from rema_data.schema import HEIGHT_STEP_M, TASKS
 from rema_data.store.columns import check_version
 from rema_data.store.keys import BlockKey
 
@@ -72,7 +72,7 @@ class Manifest(StrictRecord):
     parent: Parent | None = None
     sources: tuple[str, ...] = ()  # URLs of folders of releases, in the order in which they are tried
     published: str = ""  # day of publication as YYYY-MM-DD, or empty
-    schema_version: int = SCHEMA_VERSION
+    schema_version: int = 1  # the newest one of its tables
 
     def to_bytes(self) -> bytes:
         """Canonical JSON: the bytes that are hashed, stored and published."""

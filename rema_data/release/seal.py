@@ -92,6 +92,8 @@ def seal(
     blocks.sort(key=block_order)
     kept = {block.key.path for block in blocks if block.key in set(reused)}
     shared = [] if parent is None else [file for file in parent.files if file.block in kept]
+    own = [BlockReader(staging / key.path).version() for key in keys]
+    continued = [parent.schema_version] if parent is not None and reused else []
     draft = Manifest(
         **{item.name: getattr(about, item.name) for item in fields(about)},
         blocks=tuple(blocks),
@@ -99,8 +101,9 @@ def seal(
         fingerprint=fingerprint,
         plan_sha256=plan_sha256,
         parent=None if parent is None else Parent(parent.name, parent.sha256),
+        schema_version=max([*own, *continued], default=1),
     )
-    write_card(staging, draft)
+    write_card(staging, draft, min(own, default=None))
     manifest = replace(draft, files=_files(staging, about.name, shared))
     data = manifest.to_bytes()
     parse_manifest(data, str(target / MANIFEST))

@@ -17,9 +17,11 @@ import pyarrow as pa
 from rema_data.query import steps_that_meet
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import BlockEntry
-from rema_data.schema import TASKS, skill
+from rema_data.schema import TASK_NUMBERS, TASKS, skill
+from rema_data.store.columns import VARIATION, version_with
+from rema_data.store.tables import variation_of
 
-__all__ = ["Statistics", "StepCount", "TaskTotal", "count"]
+__all__ = ["AxisCount", "Statistics", "StepCount", "TaskTotal", "count"]
 
 
 class _Counted:
@@ -51,6 +53,18 @@ class StepCount(_Counted):
 
 
 @dataclass(frozen=True, slots=True)
+class AxisCount(_Counted):
+    """The last steps of a task that are varied alike, over all rounds and splits that are on this machine."""
+
+    task: str
+    axis: str  # of the suites; empty for clean episodes
+    level: int  # from 1; 0 for clean episodes
+    episodes: int
+    reached: int  # last steps that were executed
+    positives: int
+
+
+@dataclass(frozen=True, slots=True)
 class TaskTotal(_Counted):
     """One task over all rounds and splits that are on this machine."""
 
@@ -72,6 +86,7 @@ class Statistics:
     fix: str = ""  # the command that brings the missing blocks; empty where there are none
     episodes: Mapping[str, int] = field(default_factory=dict)  # by task: those of which a step is counted
     where: str | None = None  # the condition that a step meets to be counted
+    axes: tuple[AxisCount, ...] = ()  # by task, axis and level; empty where no counted episode is varied
 
     def totals(self) -> tuple[TaskTotal, ...]:
         """Sums by task, in the order of ``TASKS``."""
@@ -86,7 +101,9 @@ class Statistics:
             "steps": [asdict(row) | {"negatives": row.negatives} for row in self.steps],
             "tasks": [asdict(row) | {"negatives": row.negatives} for row in self.totals()],
             "missing": [asdict(block) for block in self.missing],
-        } | ({} if self.where is None else {"where": self.where})
+            **({} if self.where is None else {"where": self.where}),
+            **({"axes": [asdict(row) | {"negatives": row.negatives} for row in self.axes]} if self.axes else {}),
+        }
 
 
 def _total(task: str, episodes: int, rows: list[StepCount]) -> TaskTotal:
@@ -125,9 +142,12 @@ def count(
     missing = tuple(block for block in chosen if block.key not in present)
     rows: list[StepCount] = []
     episodes: Counter[str] = Counter()
+    axes = _Axes()
     for block, table in zip(here, _tables(release, here, where), strict=True):
         rows += _count_block(block, table)
         episodes[block.task] += len(np.unique(table["episode"].to_numpy()))
+        if release.manifest.schema_version >= version_with(VARIATION):
+            axes.add(block.task, release.block(block).episodes(), table)
     return Statistics(
         release.manifest.name,
         release.manifest.sha256,
@@ -136,7 +156,35 @@ def count(
         release.missing_hint(missing) if missing else "",
         episodes,
         where,
+        axes.counts(),
     )
+
+
+class _Axes:
+    """Episodes by what is varied in them, gathered one block after the other."""
+
+    def __init__(self) -> None:
+        self._found: dict[tuple[str, str, int], list[int]] = {}
+
+    def add(self, task: str, episodes: pa.Table, steps: pa.Table) -> None:
+        """Count the episodes of a block of which ``steps`` are counted."""
+        last = steps.filter(steps["last"])
+        won = dict(zip(last["episode"].to_pylist(), last["success"].to_pylist(), strict=True))
+        counted = set(steps["episode"].to_pylist())
+        for row in episodes.select(["task", "round", "split", "episode", VARIATION]).to_pylist():
+            if row["episode"] in counted:
+                variation, success = variation_of(row), won.get(row["episode"])
+                cell = ("", 0) if variation is None else (variation.axis, variation.level)
+                sums = self._found.setdefault((task, *cell), [0, 0, 0])
+                for place, more in enumerate((True, success is not None, bool(success))):
+                    sums[place] += more
+
+    def counts(self) -> tuple[AxisCount, ...]:
+        """By task, clean episodes first; nothing where all episodes are clean."""
+        if not any(axis for _, axis, _ in self._found):
+            return ()
+        order = sorted(self._found, key=lambda cell: (TASK_NUMBERS[cell[0]], *cell[1:]))
+        return tuple(AxisCount(*cell, *self._found[cell]) for cell in order)
 
 
 def _tables(release: ReleaseFolder, blocks: Sequence[BlockEntry], where: str | None) -> Iterator[pa.Table]:

@@ -27,7 +27,7 @@ from rema_data.heights import encode_heights, pack_mask
 from rema_data.repair import RepairHint, ask_verify
 from rema_data.schema import Episode, Observation
 from rema_data.storage import write_atomic
-from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS
+from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, VARIATION, version_with
 from rema_data.store.keys import SPLITS, BlockKey
 from rema_data.store.tables import (
     as_stored,
@@ -36,8 +36,10 @@ from rema_data.store.tables import (
     read_table,
     step_row,
     steps_table,
+    table_version,
     to_parquet,
     with_column,
+    with_version,
 )
 
 if TYPE_CHECKING:
@@ -85,8 +87,13 @@ def encode_maps(observations: Sequence[Observation]) -> EncodedMaps:
     )
 
 
-def encode_episodes(episodes: Sequence[Episode]) -> tuple[pa.Table, pa.Table, EncodedMaps]:
-    """Episodes as the tables and maps of a block of their own: rows count from 0."""
+def encode_episodes(episodes: Sequence[Episode], version: int = 1) -> tuple[pa.Table, pa.Table, EncodedMaps]:
+    """Episodes as the tables and maps of a block of their own: rows count from 0.
+
+    They are to be stored in the schema version ``version``, or in the earliest later one that has all of theirs.
+    """
+    varied = any(episode.variation is not None for episode in episodes)
+    version = max(version, version_with(*([VARIATION] if varied else [])))
     maps = encode_maps([step.observation for episode in episodes for step in episode.steps])
     episode_rows: list[dict[str, Any]] = []
     step_rows: list[dict[str, Any]] = []
@@ -95,7 +102,7 @@ def encode_episodes(episodes: Sequence[Episode]) -> tuple[pa.Table, pa.Table, En
         for step in episode.steps:
             row = len(step_rows)
             step_rows.append(step_row(episode, step, row, int(maps.ee_row[row])))
-    return episodes_table(episode_rows), steps_table(step_rows), maps
+    return episodes_table(episode_rows, version), steps_table(step_rows, version), maps
 
 
 class BlockWriter:
@@ -137,7 +144,8 @@ class BlockWriter:
             (EPISODES, self._episodes, EPISODE_COLUMNS),
             (STEPS, self._steps, STEP_COLUMNS),
         ):
-            whole = pa.concat_tables(tables).combine_chunks()
+            version = max(map(table_version, tables))
+            whole = with_version(pa.concat_tables(tables).combine_chunks(), version)
             write_atomic(self._folder / name, to_parquet(as_stored(whole, columns)))
 
 
@@ -165,6 +173,10 @@ class BlockReader:
     def steps(self) -> pa.Table:
         """Table of the steps; see ``read_table`` for what it raises."""
         return read_table(self.folder / STEPS, STEP_COLUMNS, self.repair_hint, self._most_steps)
+
+    def version(self) -> int:
+        """The schema version of its tables: the newest one that has the columns of both."""
+        return min(table_version(self.episodes()), table_version(self.steps()))
 
     def maps(self) -> MapsReader:
         """Reader of the maps."""

@@ -2,7 +2,7 @@
 
 To add a column: a nullable field of ``rema_data.schema.Evidence``, or a line here, with ``since`` one above
 ``rema_data.schema.SCHEMA_VERSION``; and raise that number. Releases of earlier versions are read as before, with the
-column's default in every row.
+column's default in every row. Data that do not use an ``optional`` column are stored in the version before it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,16 @@ from rema_data.schema import SCHEMA_VERSION, Evidence
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["EPISODE_COLUMNS", "STEP_COLUMNS", "Column", "arrow_schema", "check_version", "columns_at"]
+__all__ = [
+    "EPISODE_COLUMNS",
+    "STEP_COLUMNS",
+    "VARIATION",
+    "Column",
+    "arrow_schema",
+    "check_version",
+    "columns_at",
+    "version_with",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +44,7 @@ class Column:
     nullable: bool = False
     since: int = 1  # schema version that introduced it; above 1 the column is nullable
     default: str | float | bool | None = None  # its value in the rows of earlier versions
+    optional: bool = False  # only some releases use it: the others are stored without it
 
 
 def _spec(prefix: str, what: str, nullable: bool) -> Iterator[Column]:
@@ -86,6 +96,9 @@ _PLACE = (
     Column("episode", "int32", "position of the episode in its (round, task, split), from 0"),
 )
 
+VARIATION = "variation"
+"""The column of varied episodes."""
+
 EPISODE_COLUMNS: tuple[Column, ...] = (
     *_PLACE,
     Column("seed", "uint64", "root seed; with task, round, split and episode it keys all that was drawn"),
@@ -94,6 +107,14 @@ EPISODE_COLUMNS: tuple[Column, ...] = (
     Column("success", "bool", "the last step of the task was reached and succeeded"),
     Column("failure", "string", "label of the step that ended the episode, null after a success", nullable=True),
     Column("failed_step", "int8", "position of that step in the task, null after a success", nullable=True),
+    Column(
+        VARIATION,
+        "string",
+        "what is changed in the last step of the episode, as JSON; null in a clean episode",
+        nullable=True,
+        since=2,
+        optional=True,
+    ),
 )
 """One row an episode."""
 
@@ -131,6 +152,12 @@ STEP_COLUMNS: tuple[Column, ...] = (
 def columns_at(columns: tuple[Column, ...], version: int) -> tuple[Column, ...]:
     """The columns that a table of a schema version has."""
     return tuple(column for column in columns if column.since <= version)
+
+
+def version_with(*optional: str) -> int:
+    """The earliest schema version in which new data that use these optional columns can be stored."""
+    every = (*EPISODE_COLUMNS, *STEP_COLUMNS)
+    return max(column.since for column in every if not column.optional or column.name in optional)
 
 
 def arrow_schema(columns: tuple[Column, ...], version: int = SCHEMA_VERSION) -> pa.Schema:

@@ -30,7 +30,8 @@ from rema_data.schema import (
     StepOutcome,
     skill,
 )
-from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, Column, arrow_schema, columns_at
+from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, VARIATION, Column, arrow_schema, columns_at
+from rema_data.variation import Variation, variation_from_text, variation_text
 
 __all__ = [
     "as_stored",
@@ -45,7 +46,9 @@ __all__ = [
     "steps_table",
     "table_version",
     "to_parquet",
+    "variation_of",
     "with_column",
+    "with_version",
 ]
 
 _SPEC = tuple(field.name for field in dataclasses.fields(ObjectSpec))
@@ -65,6 +68,7 @@ def episode_row(episode: Episode, first_step: int) -> dict[str, Any]:
         "success": episode.success,
         "failure": None if episode.failure is None else episode.failure.value,
         "failed_step": failed,
+        VARIATION: None if episode.variation is None else variation_text(episode.variation),
     }
 
 
@@ -122,11 +126,27 @@ def _part(row: Mapping[str, Any], prefix: str, kind: type) -> Any:
     return kind(spec, *(row[f"{prefix}_{name}"] for name in names))
 
 
-def situation_of(row: Mapping[str, Any]) -> Situation:
-    """What the step of a row of ``steps.parquet`` started from: with its action, all that the simulator needs."""
+def variation_of(episode: Mapping[str, Any]) -> Variation | None:
+    """The variation of a row of ``episodes.parquet``; IntegrityError where the column holds something else."""
+    text = episode[VARIATION]
+    try:
+        return None if text is None else variation_from_text(text)
+    except ValueError as error:
+        place = "/".join(str(episode[name]) for name in ("task", "round", "split", "episode"))
+        raise IntegrityError(
+            f"the variation of episode {place} cannot be read: {error}", hint="find all damage: rema verify"
+        ) from error
+
+
+def situation_of(row: Mapping[str, Any], variation: Variation | None) -> Situation:
+    """What the step of a row of ``steps.parquet`` started from: with its action, all that the simulator needs.
+
+    ``variation`` is that of its episode (``variation_of``), which changes the last step.
+    """
     grips = [_part(row, f"tool{n}", Grip) for n in (0, 1)]
     held = tuple(grip for grip in grips if grip is not None)
-    return Situation(row["task"], int(row["step"]), _part(row, "target", Placement), held, _part(row, "pinch", Pinch))
+    target, pinch = _part(row, "target", Placement), _part(row, "pinch", Pinch)
+    return Situation(row["task"], int(row["step"]), target, held, pinch, variation if row["last"] else None)
 
 
 def outcome_of(row: Mapping[str, Any]) -> StepOutcome:
@@ -150,14 +170,19 @@ def episodes_table(rows: Sequence[Mapping[str, Any]], version: int = SCHEMA_VERS
     return _table(rows, EPISODE_COLUMNS, version)
 
 
-def steps_table(rows: Sequence[Mapping[str, Any]]) -> pa.Table:
-    """Rows of ``step_row`` as a table."""
-    return _table(rows, STEP_COLUMNS, SCHEMA_VERSION)
+def steps_table(rows: Sequence[Mapping[str, Any]], version: int = SCHEMA_VERSION) -> pa.Table:
+    """Rows of ``step_row`` as a table, to be stored in a schema version."""
+    return _table(rows, STEP_COLUMNS, version)
 
 
 def table_version(table: pa.Table) -> int:
     """The schema version in which a table is stored: the newest one that has its columns."""
     return int((table.schema.metadata or {}).get(b"rema.schema_version", SCHEMA_VERSION))
+
+
+def with_version(table: pa.Table, version: int) -> pa.Table:
+    """A table with all columns, to be stored in another schema version."""
+    return table.replace_schema_metadata({"rema.schema_version": str(version)})
 
 
 def complete(table: pa.Table, columns: tuple[Column, ...]) -> pa.Table:

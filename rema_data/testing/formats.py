@@ -54,7 +54,8 @@ class FormatContract:
     Notes
     -----
     A format that has no use for an option refuses it with an InputError before it writes anything: the tests accept
-    that. Formats of directories are fine: the tests compare all files below the folder of an export.
+    that. One that cannot keep what is varied in an episode refuses the release in the same way. Formats of directories
+    are fine: the tests compare all files below the folder of an export.
 
     Examples
     --------
@@ -115,6 +116,15 @@ class FormatContract:
             assert not folder.exists() or _files(folder) == {}
             return False
         return True
+
+    def test_varied_episodes_come_back_or_are_refused(self, tmp_path: Path) -> None:
+        """A format that cannot keep what is varied says so, and writes nothing."""
+        varied = make_release(tmp_path / "release", tasks=("grasp_push",), episodes=6, varied=True)
+        if not self._takes(ExportOptions(), varied, tmp_path / "export"):
+            return
+        imported = import_release([tmp_path / "export"], tmp_path / "back", format=self.format)
+        assert imported.identical and imported.notes == ()
+        assert _files(tmp_path / "back") == _files(varied.root)
 
     def test_a_selection_has_the_bytes_of_its_blocks(self, release: ReleaseFolder, tmp_path: Path) -> None:
         """A release of one block of another is named as such, and its block has the same files."""

@@ -1,7 +1,8 @@
 """``rema verify``: every byte and every invariant of a release.
 
 Read in this order: ``findings`` (what is reported), ``check`` (the order of the checks), ``files`` (bytes, and
-fetching them again), ``maps`` and ``tables`` (one block), ``leakage`` (across blocks and against the frozen scenarios).
+fetching them again), ``maps``, ``tables`` and ``variations`` (one block), ``leakage`` (across blocks and against the
+frozen scenarios).
 """
 
 from __future__ import annotations

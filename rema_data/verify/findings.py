@@ -26,7 +26,7 @@ class Finding:
     """One thing that is wrong.
 
     Its kind is ``manifest``, ``missing``, ``size``, ``sha256``, ``unexpected``, ``table``, ``maps``, ``counts``,
-    ``episodes``, ``labels``, ``actions``, ``numbers``, ``tools``, ``rows``, ``place`` or ``leakage``.
+    ``episodes``, ``labels``, ``actions``, ``numbers``, ``tools``, ``variations``, ``rows``, ``place`` or ``leakage``.
     """
 
     kind: str

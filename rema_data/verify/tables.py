@@ -15,10 +15,11 @@ import pyarrow.compute as pc
 
 from rema_data import grid
 from rema_data.release.manifest import BlockEntry
-from rema_data.schema import TASKS, Embodiment, Failure, Primitive, Shape, pinch_step, skill, tool_steps
+from rema_data.schema import SEED_SHAPES, TASKS, Embodiment, Failure, Primitive, Shape, pinch_step, skill, tool_steps
 from rema_data.store.block import EPISODES, STEPS
-from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS
+from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, VARIATION
 from rema_data.verify.findings import Add, rows_of
+from rema_data.verify.variations import check_variations
 
 __all__ = ["PUSH_SUCCESS_M", "check_tables"]
 
@@ -55,6 +56,7 @@ def check_tables(
             report("numbers", file, rows_of(_null(table, name)), f"{name} has no value")
             complete = False
     if complete:
+        check_variations(episodes, report)
         _Check(entry, episodes, steps, report, gaps).run(map_rows)
 
 
@@ -103,6 +105,7 @@ class _Check:
             self.labels()
             self.step_kinds()
             self.tools()
+            self.clean()
 
     def flag(self, kind: str, bad: Array, detail: str, file: str = STEPS) -> None:
         """Report the rows in which ``bad`` is true, if any."""
@@ -141,7 +144,7 @@ class _Check:
         for part in _OBJECTS:
             shape = steps[f"{part}_shape"]
             there, known = shape != "", np.isin(shape, [item.value for item in Shape])
-            self.flag("numbers", there & ~known, f"{part}_shape is not I, L or T")
+            self.flag("numbers", there & ~known, f"{part}_shape is not a known shape")
             for name in (f"{part}_{size}" for size in ("length_m", "width_m", "height_m")):
                 self.flag("numbers", there & (steps[name] <= 0), f"{name} is not positive")
             contradicts = (steps[f"{part}_arm_m"] > 0) == (shape == Shape.I)
@@ -253,6 +256,16 @@ class _Check:
             carried = rows[self.position[rows] > after + 1]
             moved = self.differ(carried, columns, carried - 1, columns)
             self.flag("tools", moved, f"{part} is not as it was at the step before")
+
+    # what is varied
+
+    def clean(self) -> None:
+        """Without a variation, objects have the shapes of the paper."""
+        clean = np.repeat(self.episodes[VARIATION] == "", self.length)
+        for part in _OBJECTS:
+            shape = self.steps[f"{part}_shape"]
+            other = (shape != "") & ~np.isin(shape, [item.value for item in SEED_SHAPES])
+            self.flag("numbers", clean & other, f"{part}_shape is not I, L or T, and the episode is clean")
 
     def differ(self, rows: Array, names: Sequence[str], others: Array, as_names: Sequence[str]) -> Array:
         """Rows whose columns ``names`` are not those named ``as_names`` of other rows, bool (steps,)."""

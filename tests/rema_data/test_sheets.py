@@ -35,7 +35,7 @@ def shown(task: str, position: int = 0, action: int | None = None, success: floa
             step = episode.steps[position]
             if action is not None:
                 step = dataclasses.replace(step, action=Action(action))
-            row = {"peak_force_n": 0.0, **step_row(episode, step, 0, 0)}
+            row = {"peak_force_n": 0.0, "variation": None, **step_row(episode, step, 0, 0)}
             return GalleryStep(row, step.observation)
     raise AssertionError("no episode got so far")
 

@@ -21,10 +21,13 @@ __all__ = ["Axis", "Draw", "varied", "with_target"]
 
 @dataclass(frozen=True, slots=True)
 class Draw:
-    """What an axis draws with."""
+    """What an axis draws with.
+
+    Without a ``simulator``, nobody picks the tools of a scenario: they get into the hands by its own first steps.
+    """
 
     rng: np.random.Generator
-    simulator: Simulator
+    simulator: Simulator | None = None
 
 
 class Axis(ABC):

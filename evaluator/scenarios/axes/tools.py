@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from evaluator.scenarios.axes.base import Axis, Draw
 from evaluator.scenarios.axes.objects import reshaped
 from evaluator.sim.parameters import WORLD
 from rema_data.schema import TASKS, Grip, ObjectSpec, Pinch, Placement, Scenario, Shape, Situation, tool_steps
+
+if TYPE_CHECKING:
+    from evaluator.sim.simulator import Simulator
 
 __all__ = ["Tools"]
 
@@ -42,7 +46,7 @@ _TWO_HANDS: tuple[Change, ...] = (
 
 
 class Tools(Axis):
-    """Tools of other shapes and sizes, picked by the reference policy."""
+    """Tools of other shapes and sizes, picked by the reference policy where there is a simulator."""
 
     name, number = "tool", 4
     title = "other tools in the hand (two arms: other sticks), picked by the reference policy"
@@ -63,7 +67,9 @@ class Tools(Axis):
         for step, kind in enumerate(steps[:-1]):
             if kind.makes == "tool":
                 placements[step] = dataclasses.replace(placements[step], spec=change(placements[step].spec, draw.rng))
-            made = self._made(Situation(task, step, placements[step], grips), draw)
+            if draw.simulator is None:
+                continue
+            made = self._made(Situation(task, step, placements[step], grips), draw.simulator, draw.rng)
             if isinstance(made, Grip):
                 grips = (*grips, made)
             elif isinstance(made, Pinch):
@@ -72,13 +78,13 @@ class Tools(Axis):
                 return None
         return dataclasses.replace(scenario, placements=tuple(placements), grips=grips, pinch=pinch)
 
-    def _made(self, situation: Situation, draw: Draw) -> Grip | Pinch | None:
+    def _made(self, situation: Situation, simulator: Simulator, rng: np.random.Generator) -> Grip | Pinch | None:
         from evaluator.sim.reference import reference_step  # needs PyBullet, which the names of the axes do not
 
         for _ in range(_TRIES):
-            if (done := reference_step(draw.simulator, situation, draw.rng)) is not None:
+            if (done := reference_step(simulator, situation, rng)) is not None:
                 return done.grip or done.pinch
-            turn = float(draw.rng.uniform(0, 2 * np.pi))
+            turn = float(rng.uniform(0, 2 * np.pi))
             target: Placement = dataclasses.replace(situation.target, yaw_rad=turn)
             situation = dataclasses.replace(situation, target=target)
         return None

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 import json
 import os
+import re
 import shutil
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,9 +16,10 @@ import numpy as np
 import pytest
 from filelock import FileLock
 
-from baselines.rounds.play import draw_placements
+from baselines.rounds.play import draw_scenario
 from baselines.rounds.work import work_path
-from evaluator.scenarios import load_list
+from evaluator.scenarios import VERSION, load_list
+from evaluator.scenarios.varied import Vary
 from rema_data.errors import (
     InfrastructureError,
     InputError,
@@ -30,11 +33,12 @@ from rema_data.errors import (
 from rema_data.manifests import manifests_dir
 from rema_data.release.folder import ReleaseFolder, find_release
 from rema_data.release.registry import register
-from rema_data.schema import TASKS, Placement
+from rema_data.schema import TASKS, Scenario
 from rema_data.store.block import BlockKey
-from rema_data.store.tables import outcome_of, situation_of
+from rema_data.store.tables import outcome_of, situation_of, variation_of
 from rema_data.testing import make_release
-from tests.baselines.rounds.fakes import collect_fake, tree, write_plan
+from rema_data.verify import Report, verify
+from tests.baselines.rounds.fakes import PLAN, collect_fake, tree, write_plan
 from tests.evaluator.fakes import FakePolicyProcess, FakeSimulator, fake_backend, fake_fingerprint, fake_observe
 from tests.rema_data.verify.damage import flip
 
@@ -78,11 +82,11 @@ def test_steps_follow_from_each_other(finished: ReleaseFolder) -> None:
         depth = maps.read("ee_depth", 0, maps.rows("ee_depth"))
         for episode in block.episodes().to_pylist():
             own = steps[episode["first_step"] :][: episode["steps"]]
-            placements = draw_placements(7, entry.key, episode["episode"])
+            placements = draw_scenario(7, entry.key, episode["episode"]).placements
             grips: tuple[Any, ...] = ()
             pinch = None
             for number, row in enumerate(own):
-                situation = situation_of(row)
+                situation = situation_of(row, variation_of(episode))
                 assert (row["step"], situation.grips, situation.pinch) == (number, grips, pinch)
                 assert situation.target == placements[number]
                 outcome = simulator.run(situation, row["action"])
@@ -97,7 +101,7 @@ def test_steps_follow_from_each_other(finished: ReleaseFolder) -> None:
 
 def test_rounds_and_splits_have_scenes_of_their_own() -> None:
     drawn = {
-        draw_placements(7, BlockKey(round_, "grasp", split), index)
+        draw_scenario(7, BlockKey(round_, "grasp", split), index).placements
         for round_ in (1, 2)
         for split in ("train", "val")
         for index in range(20)
@@ -124,21 +128,28 @@ def test_a_sealed_plan_is_not_collected_again(tmp_path: Path, finished: ReleaseF
     assert tree(finished.path) == before and not work.exists()
 
 
-@pytest.mark.parametrize("kind", ["a frozen scenario", "a scene of the other split"])
+@pytest.mark.parametrize("kind", ["a frozen scenario", "a scenario of a suite", "a scene of the other split"])
 def test_a_scene_that_is_kept_for_evaluation_is_not_sealed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
-    def leaking(seed: int, block: BlockKey, index: int) -> tuple[Placement, ...]:
-        drawn = draw_placements(seed, block, index)
+    versions = {"a frozen scenario": VERSION, "a scenario of a suite": "hard-v1"}
+    lists = {name: load_list("grasp", "test", version).scenarios for name, version in versions.items()}
+    shaped = next(one for one in lists["a scenario of a suite"] if one.variation and one.variation.axis == "shape")
+    frozen = {"a frozen scenario": lists["a frozen scenario"][4], "a scenario of a suite": shaped}
+
+    def leaking(seed: int, block: BlockKey, index: int, vary: Vary | None) -> Scenario:
+        drawn = draw_scenario(seed, block, index, vary)
         if (block.split, index) != ("val", 1):
             return drawn
-        other = load_list("grasp").scenarios[4].placements[0] if kind == "a frozen scenario" else None
-        return (other or draw_placements(seed, block._replace(split="train"), 7)[0], *drawn[1:])
+        other = frozen.get(kind) or draw_scenario(seed, block._replace(split="train"), 7)
+        first = other.placements[0]
+        return dataclasses.replace(drawn, placements=(first, *drawn.placements[1:]))
 
-    monkeypatch.setattr("baselines.rounds.play.draw_placements", leaking)
+    monkeypatch.setattr("baselines.rounds.play.draw_scenario", leaking)
     with pytest.raises(IntegrityError, match="row 1 of round-1/grasp/val in tiny may not be sealed") as caught:
         collect_fake(write_plan(tmp_path), tmp_path)
-    assert ("/grasp/test/00004" in str(caught.value)) == (kind == "a frozen scenario")
+    named = re.findall(r"([\w-]+)/grasp/test/(\d+)", str(caught.value))
+    assert named == ([(versions[kind], f"{frozen[kind].index:05d}")] if kind in frozen else [])
     assert not (tmp_path / "tiny").exists()
 
 
@@ -277,6 +288,7 @@ def test_a_damaged_line_of_the_log_is_an_error(tmp_path: Path) -> None:
     [
         ({"seed = 7": "seed = 8"}, {}, "seed"),
         ({"train = 11": "train = 12"}, {}, "blocks"),
+        ({'policy = "random"': 'policy = "random"\nvary = ["act"]'}, {}, "schema_version, blocks"),
         ({}, {"digest": "e"}, "blocks"),
         ({}, {"observation_hash": "other code"}, "code"),
     ],
@@ -328,7 +340,7 @@ def test_a_lost_episode_stops_the_collection_and_a_second_run_finishes_it(
     tmp_path: Path, finished: ReleaseFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     block = BlockKey(1, "grasp", "train")
-    placement = draw_placements(7, block, 10)[0]
+    placement = draw_scenario(7, block, 10).placements[0]
     number = round(placement.x_m / 1e-5)
     monkeypatch.setenv("REMA_FAKE", json.dumps({"raise": [number]}))
     plan = write_plan(tmp_path)
@@ -391,3 +403,92 @@ def test_a_parent_that_cannot_be_used_is_refused(tmp_path: Path) -> None:
     shutil.rmtree(tmp_path / "tiny-parent")
     with pytest.raises((InputError, MissingFileError), match="tiny-parent"):
         collect_fake(write_plan(tmp_path, CHILD), tmp_path)
+
+
+VARY = 'policy = "random"\nvary = { axes = ["clutter", "shape", "sense"], clean = 0.3 }'
+VARIED = PLAN.replace('policy = "random"', VARY)
+"""Varied in round 1 alone."""
+CLEAN_PLAN = "bafe193410b5d25ba427e4bda4ee338cfed51da245af7ecffae73dfc21b0a64a"
+"""What the plan of these tests was called before plans could vary."""
+
+
+def test_the_identity_of_a_clean_plan_stays(finished: ReleaseFolder) -> None:
+    """Released plans have this one: no schema version, field or draw may change it."""
+    assert finished.manifest.plan_sha256 == CLEAN_PLAN
+    assert finished.manifest.schema_version == 1
+
+
+def test_clean_episodes_are_drawn_as_ever() -> None:
+    """Those of the sample, which was collected before there were varied ones."""
+    sample = find_release("rema-sample")
+    for entry in sample.manifest.blocks:
+        block = sample.block(entry)
+        seeds = dict(zip(*(block.episodes()[name].to_pylist() for name in ("episode", "seed")), strict=True))
+        for row in block.steps().to_pylist():
+            drawn = draw_scenario(seeds[row["episode"]], entry.key, row["episode"])
+            assert situation_of(row, None).target == drawn.placements[row["step"]]
+
+
+@pytest.fixture(scope="module")
+def varied(tmp_path_factory: pytest.TempPathFactory) -> ReleaseFolder:
+    folder = tmp_path_factory.mktemp("varied")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("baselines.rounds.collect.call_in_child", lambda target: fake_fingerprint())
+        return collect_fake(write_plan(folder, VARIED), folder).release
+
+
+def test_a_varied_episode_can_be_played_again_from_its_row(varied: ReleaseFolder) -> None:
+    assert varied.manifest.schema_version == 2
+    simulator, cells = FakeSimulator(), set()
+    for entry in varied.manifest.blocks:
+        block = varied.block(entry)
+        assert block.version() == 2  # all blocks of a release, though only one of its rounds is varied
+        steps, maps = block.steps().to_pylist(), block.maps()
+        for episode in block.episodes().to_pylist():
+            variation = variation_of(episode)
+            drawn = draw_scenario(7, entry.key, episode["episode"], varied_by(entry.key))
+            assert drawn.variation == variation
+            for row in steps[episode["first_step"] :][: episode["steps"]]:
+                situation = situation_of(row, variation)
+                assert situation.target == drawn.placements[row["step"]]
+                assert outcome_of(row).failure == simulator.run(situation, row["action"]).failure
+                seen = maps.read("ee_depth", row["ee_row"], row["ee_row"] + 1)
+                assert np.array_equal(seen[0], fake_observe(situation).depth + 100)
+            if variation is not None:
+                cells.add(variation.axis)
+    assert len(cells) > 1 and not found_by(verify(varied))
+
+
+def found_by(report: Report) -> set[str]:
+    """Kinds of findings, but for those that the light world does not keep in any episode."""
+    return report.counts.keys() - {"labels", "maps", "actions"}
+
+
+def varied_by(key: BlockKey) -> Vary | None:
+    return Vary(("clutter", "shape", "sense"), 0.3) if key.round == 1 else None
+
+
+def test_varied_episodes_are_the_same_with_any_workers_and_chunks(tmp_path: Path, varied: ReleaseFolder) -> None:
+    again = collect_fake(write_plan(tmp_path, VARIED), tmp_path, engine="process", workers=3).release
+    assert tree(again.path) == tree(varied.path)
+    (tmp_path / "other").mkdir()
+    larger = collect_fake(write_plan(tmp_path, VARIED), tmp_path / "other", chunk_episodes=100).release
+    changed = {name for name, sha256 in tree(larger.path).items() if tree(varied.path)[name] != sha256}
+    assert not any(name.startswith("round-") for name in changed)
+
+
+def test_a_varied_round_continues_a_clean_release(tmp_path: Path) -> None:
+    """Blocks of both versions in one release; a clean round that continues it has the columns of the newest."""
+    collect_fake(write_plan(tmp_path), tmp_path)
+    reuse = 'parent = "tiny"\n' + PLAN[: PLAN.index("[[rounds]]")] + "[[rounds]]\nreuse = true\n\n" * 2
+    third = '[[rounds]]\npolicy = "random"\nepisodes = { train = 9 }\ntasks = ["grasp"]\n'
+    middle = reuse.replace('"tiny"\ntitle', '"middle"\ntitle') + third + 'vary = ["shape"]\n'
+    both = collect_fake(write_plan(tmp_path, middle), tmp_path).release
+    assert both.manifest.schema_version == 2
+    assert [both.block(block).version() for block in both.manifest.blocks] == [1, 1, 1, 2]
+    assert not found_by(verify(both))
+    last = reuse.replace('"tiny"\ntitle', '"last"\ntitle').replace('"tiny"', '"middle"')
+    whole = collect_fake(write_plan(tmp_path, last + "[[rounds]]\nreuse = true\n\n" + third), tmp_path).release
+    assert [whole.block(block).version() for block in whole.manifest.blocks] == [1, 1, 1, 2, 2]
+    column = whole.block(whole.manifest.blocks[-1]).episodes()["variation"]
+    assert column.null_count == len(column) and not found_by(verify(whole))

@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from baselines.rounds.plan import load_plan
+from evaluator.scenarios.varied import Vary
 from rema_data.errors import InputError, MissingFileError, RemaError
 from rema_data.store.block import BlockKey
 from tests.baselines.rounds.fakes import PLAN, write_plan
@@ -84,6 +85,17 @@ def test_a_task_can_have_its_own_values(tmp_path: Path) -> None:
         ('["grasp"]', '["grasp"]\nspeed = 2', "rounds[1].speed"),
         ('tasks = ["grasp_grasp_push"]', "", "rounds[2].tasks"),
         ('policy = "scripted"', "reuse = true", "rounds[2].picks"),
+        ('policy = "random"', 'policy = "random"\nvary = []', "rounds[1].tasks.grasp.vary.axes"),
+        ('policy = "random"', 'policy = "random"\nvary = ["weather"]', "rounds[1].tasks.grasp.vary.axes"),
+        ('policy = "random"', 'policy = "random"\nvary = ["act", "act"]', "rounds[1].tasks.grasp.vary.axes"),
+        ('policy = "random"', 'policy = "random"\nvary = "act"', "rounds[1].tasks.grasp.vary"),
+        ('policy = "random"', 'policy = "random"\nvary = { clean = 0.5 }', "rounds[1].tasks.grasp.vary.axes"),
+        (
+            'policy = "random"',
+            'policy = "random"\nvary = { axes = ["act"], clean = 1 }',
+            "rounds[1].tasks.grasp.vary.clean",
+        ),
+        ('policy = "random"', 'policy = "random"\nvary = ["act", "tool"]', "rounds[1].vary"),
     ],
 )
 def test_errors_name_the_field(tmp_path: Path, old: str, new: str, key: str) -> None:
@@ -93,6 +105,36 @@ def test_errors_name_the_field(tmp_path: Path, old: str, new: str, key: str) -> 
     assert caught.value.facts["field"] == key
     assert str(path) in caught.value.message and key in caught.value.message
     assert caught.value.hint
+
+
+def test_a_round_may_vary_its_episodes(tmp_path: Path) -> None:
+    """Each task by the axes that it has; half of the episodes are clean unless the plan says otherwise."""
+    tasks = """
+    vary = ["clutter", "sense", "tool"]
+    [rounds.tasks]
+    grasp = {}
+    push = { vary = { axes = ["act"], clean = 0.25 } }
+    grasp_push = { picks = "reference" }
+    """
+    head, _, _ = PLAN.rpartition("[[rounds]]")
+    plan = load_plan(write_plan(tmp_path, head.replace('tasks = ["grasp"]', tasks)))
+    assert {block.key.task: block.vary for block in plan.blocks} == {
+        "grasp": Vary(("clutter", "sense"), 0.5),
+        "push": Vary(("act",), 0.25),
+        "grasp_push": Vary(("sense", "tool"), 0.5),
+    }
+    assert [block.vary for block in load_plan(write_plan(tmp_path)).blocks] == [None] * 3
+    own = head.replace('tasks = ["grasp"]', 'vary = ["clutter"]\ntasks = ["grasp", "push"]')
+    assert [block.vary for block in load_plan(write_plan(tmp_path, own)).blocks][2:] == [None] * 2
+
+
+def test_an_axis_that_no_task_of_the_round_has_is_named(tmp_path: Path) -> None:
+    vary = 'policy = "random"\nvary = ["act", "tool"]'
+    with pytest.raises(InputError, match=r"rounds\[1\].vary has the axis 'tool', which grasp does not have") as caught:
+        load_plan(write_plan(tmp_path, **{'policy = "random"': vary}))
+    assert "grasp_push" in caught.value.hint
+    with pytest.raises(InputError, match="has the axis 'weather': use some of clutter, shape"):
+        load_plan(write_plan(tmp_path, **{'policy = "random"': 'policy = "random"\nvary = ["weather"]'}))
 
 
 def test_reuse_needs_a_parent_and_something_to_collect(tmp_path: Path) -> None:

@@ -89,13 +89,46 @@ def test_a_round_that_other_networks_played(collected: Path) -> None:
     assert all(stage.already for stage in again(collected))
 
 
-def test_the_published_rounds_are_those_of_their_plan() -> None:
-    plan, releases = load_recursion(ROOT / "manifests" / "plans" / "rema-v0.toml"), ROOT / "releases"
+@pytest.mark.parametrize("name", ["rema-v0", "rema-v1"])
+def test_the_published_rounds_are_those_of_their_plan(name: str) -> None:
+    plan, releases = load_recursion(ROOT / "manifests" / "plans" / f"{name}.toml"), ROOT / "releases"
     if not (releases / plan.name).is_dir():
         pytest.skip("the releases come with a clone only")
     for entry in plan.rounds:
         path = releases / entry.release / MANIFEST
         check_sealed(plan, entry, ReleaseFolder(parse_manifest(path.read_bytes(), str(path)), releases))
+
+
+def test_nothing_of_the_published_recursion_is_done_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`rema rounds manifests/plans/rema-v1.toml` finds every release and every network."""
+    plan, releases = load_recursion(ROOT / "manifests" / "plans" / "rema-v1.toml"), ROOT / "releases"
+    if not (releases / plan.name).is_dir():
+        pytest.skip("the releases come with a clone only")
+    for stage in ("collect", "train"):
+        monkeypatch.setattr(recursion, stage, lambda *_, **__: pytest.fail("a sealed stage was begun again"))
+    assert all(stage.already for stage in recurse(plan, releases))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        ("", 'vary = ["act"]\n', "two-round-1 has no varied episodes, so it is not round 1"),
+        ('vary = { axes = ["act", "shape"], clean = 0.1 }\n', "", "two-round-1 has episodes that are varied by"),
+        ('vary = { axes = ["act"], clean = 0.1 }\n', 'vary = ["shape"]\n', "that are varied by act, so it is not"),
+    ],
+)
+def test_a_round_that_is_varied_in_another_way(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_fingerprint: None, before: str, after: str, words: str
+) -> None:
+    monkeypatch.setattr(recursion, "collect", partial(collect, engine="inline", backend=fake_backend()))
+    monkeypatch.setattr(recursion, "trained", lambda *_: True)
+    plan = tmp_path / "plan.toml"
+    for vary in (before, before, after):
+        plan.write_text(PLAN.replace('policy = "random"\n', f'policy = "random"\n{vary}'))
+        if vary != after:
+            next(recurse(load_recursion(plan), tmp_path / "out"))
+    with pytest.raises(RunMismatchError, match=words):
+        next(recurse(load_recursion(plan), tmp_path / "out"))
 
 
 def test_two_writers_lose_no_note(tmp_path: Path) -> None:

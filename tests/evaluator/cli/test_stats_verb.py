@@ -127,3 +127,23 @@ def test_a_damaged_table_of_a_copy_has_a_fix_that_works(release: ReleaseFolder, 
     result = CliRunner().invoke(cli, ["stats", str(copy)])
     assert result.exit_code == 6 and f"find all damage: rema verify {copy}" in result.stderr
     assert "open them by their name: rema download tiny" in result.stderr
+
+
+def test_varied_episodes_are_counted_by_axis(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    varied = make_release(tmp_path, "varied", tasks=("grasp", "push"), episodes=12, varied=True)
+    lines = stats(varied.path).stdout.splitlines()
+    assert max(map(len, lines)) <= 80
+    (start,) = [number for number, line in enumerate(lines) if "what is varied in the last step" in line]
+    rows = [line.split() for line in lines[start:] if line.split()[:1] in (["grasp"], ["push"])]
+    assert [row[:2] for row in rows] == [
+        [t, a] for t in ("grasp", "push") for a in ("clean", "clutter", "mixed", "shape")
+    ]
+    assert sum(int(row[2]) for row in rows) == varied.manifest.counts["episodes"]
+    told = json.loads(stats(varied.path, "--json").stdout)["axes"]
+    assert {(row["axis"], row["level"]) for row in told} == {("", 0), ("clutter", 1), ("mixed", 1), ("shape", 1)}
+
+
+def test_a_clean_release_has_no_axes(release: ReleaseFolder) -> None:
+    assert "varied" not in stats().stdout
+    assert "axes" not in json.loads(stats("--json").stdout)

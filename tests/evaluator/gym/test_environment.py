@@ -268,13 +268,13 @@ def collected(task: str, index: int) -> str:
 
 def test_a_collected_episode_is_drawn_again() -> None:
     """The objects are those that a collection with this seed has in this episode."""
-    from baselines.rounds.play import draw_placements
+    from baselines.rounds.play import draw_scenario
     from rema_data.schema import Scenario
     from rema_data.store.block import BlockKey
 
     environment = made("grasp_push", protocol="end-to-end")
     found, info = environment.reset(options={"scenario": collected("grasp_push", 5)})
-    objects = draw_placements(3, BlockKey(2, "grasp_push", "train"), 5)
+    objects = draw_scenario(3, BlockKey(2, "grasp_push", "train"), 5).placements
     wanted = observe(Scenario("grasp_push", "train", 5, objects).first_situation())
     assert info["scenario"] == collected("grasp_push", 5)
     assert np.array_equal(found["scene"], wanted.scene_m())

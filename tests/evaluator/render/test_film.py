@@ -13,6 +13,7 @@ from evaluator.render.film import FilmMaker, Take, agreement
 from evaluator.sim.simulator import Simulator
 from rema_data import grid
 from rema_data.schema import Failure, ObjectSpec, Placement, Scenario, Shape, Situation, StepOutcome
+from rema_data.variation import Variation
 
 STICK = ObjectSpec(Shape.I, 0.11, 0.025, 0.0, 0.03)
 ELL = ObjectSpec(Shape.L, 0.11, 0.03, 0.09, 0.03)
@@ -103,3 +104,26 @@ def test_other_digits_and_another_label_are_distinguished(picked: tuple[int, Ste
     assert agreement(row, take()) == "identical"
     assert agreement(row, take(lift_m=outcome.lift_m + 1e-12)) == "same label"
     assert agreement(row, take(success=False, failure=Failure.SLIPPED)) == "different"
+
+
+def test_what_stands_beside_the_target_is_shown(films: FilmMaker, simulator: Simulator) -> None:
+    """The object between the fingers is the target of the attempt, wherever the episode's own target lies."""
+    other, own = Placement(STICK, 0.07, -0.06, 0.0), Placement(ELL, -0.05, 0.05, 1.0)
+    variation = Variation("clutter", 1, 0, others=(other,))
+    situation = Scenario("grasp", "train", 0, (own,), variation=variation).first_situation()
+    action = int(grid.snap(other.x_m, other.y_m, np.pi / 2))
+    take = films.take(situation, action)
+    assert take.outcome == simulator.run(situation, action)
+    assert [(body.role, body.spec) for body in take.before.bodies] == [("target", ELL), ("other", STICK)]
+    start = take.shots[0].bodies
+    assert [(body.role, body.spec) for body in start] == [("target", STICK), ("other", ELL)]
+    assert start[1].position[:2] == pytest.approx((own.x_m, own.y_m), abs=1e-3)
+
+
+def test_an_object_is_shown_where_its_shape_is(films: FilmMaker) -> None:
+    """Not where its centre of mass is, if that lies elsewhere."""
+    own = Placement(ELL, 0.0, 0.02, 1.0)
+    variation = Variation("physics", 1, 0, mass_offset_m=(0.02, 0.01))
+    situation = Scenario("push", "train", 0, (own,), variation=variation).first_situation()
+    take = films.take(situation, int(grid.snap(-0.06, 0.02, 0.0)))
+    assert take.shots[0].bodies[0].position[:2] == pytest.approx((own.x_m, own.y_m), abs=1e-3)

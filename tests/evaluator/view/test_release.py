@@ -13,6 +13,7 @@ from evaluator.view import Viewer, open_source
 from rema_data.errors import InputError, IntegrityError, MissingFileError
 from rema_data.release.folder import ReleaseFolder
 from rema_data.schema import EVIDENCE
+from rema_data.testing import make_release
 
 
 def test_every_episode_of_the_tables_is_a_row(viewer: Viewer, tiny: ReleaseFolder) -> None:
@@ -108,3 +109,14 @@ def test_what_there_is_not_is_named(viewer: Viewer, name: str, step: int, what: 
     with pytest.raises(InputError, match=sentence) as caught:
         viewer.picture(name, step, what)
     assert caught.value.hint
+
+
+def test_varied_episodes_are_told_by_their_cell(tmp_path: Path, viewer: Viewer) -> None:
+    varied = make_release(tmp_path, "varied", tasks=("grasp",), episodes=6, varied=True)
+    shown = Viewer(open_source(str(varied.path)))
+    cells = [row["cell"] for row in (shown.source.table.row(place) for place in range(6))]
+    assert cells == [None, "clutter 1", None, "shape 1", None, "mixed 1"]
+    assert len(shown.rows("cell=shape 1")["rows"]) == 1
+    situation = shown.seen("round-1/grasp/train/5", 0).situation
+    assert situation.variation is not None and situation.variation.posts
+    assert "cell" not in viewer.source.table.row(0)  # a clean release has no such column

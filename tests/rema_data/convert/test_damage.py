@@ -12,6 +12,7 @@ import pytest
 
 from rema_data.convert import export_release, import_release
 from rema_data.errors import InputError, IntegrityError, MissingFileError, RemaError
+from rema_data.schema import SCHEMA_VERSION
 from rema_data.testing import make_release
 
 TASK = "grasp_grasp_push"
@@ -86,7 +87,7 @@ def twice(file: h5py.File) -> None:
 
 CHANGES: list[tuple[Callable[[h5py.File], None], type[RemaError], str]] = [
     (unknown("format_version"), InputError, "format version 99, this rema reads 1"),
-    (unknown("schema_version"), InputError, "schema version 99, this rema reads 1"),
+    (unknown("schema_version"), InputError, f"schema version 99, this rema reads {SCHEMA_VERSION}"),
     (unknown("maps"), IntegrityError, "its maps are 99, which is not known"),
     (without("data"), IntegrityError, "a part of it is missing"),
     (without("rema/manifest"), IntegrityError, "a part of it is missing"),

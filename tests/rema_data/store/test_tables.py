@@ -12,10 +12,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rema_data.errors import IntegrityError, MissingFileError
-from rema_data.schema import TASKS, Action, Episode, Situation, skill
+from rema_data.schema import SCHEMA_VERSION, TASKS, Action, Episode, Situation, skill
 from rema_data.store.block import EPISODES, SPLITS, STEPS, BlockKey, encode_episodes
 from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS
-from rema_data.store.tables import action_of, outcome_of, read_table, situation_of, step_row, to_parquet
+from rema_data.store.tables import (
+    action_of,
+    outcome_of,
+    read_table,
+    situation_of,
+    step_row,
+    to_parquet,
+    variation_of,
+)
 from rema_data.testing import make_block, synthetic_episode
 
 law = settings(max_examples=40, deadline=None)
@@ -26,6 +34,7 @@ EPISODES_DRAWN = st.builds(
     st.integers(0, 10_000),
     st.integers(0, 2**64 - 1),
     st.sampled_from([0.0, 0.5, 1.0]),
+    st.booleans(),
 )
 
 
@@ -36,7 +45,7 @@ def test_what_the_simulator_needs_comes_back(episode: Episode) -> None:
     rows = pq.read_table(pa.BufferReader(to_parquet(steps))).to_pylist()
     assert len(rows) == len(episode.steps)
     for row, step in zip(rows, episode.steps, strict=True):
-        assert situation_of(row) == step.situation
+        assert situation_of(row, episode.variation) == step.situation
         assert action_of(row) == step.action
         left = dataclasses.replace(step.outcome, grip=None, pinch=None)
         assert outcome_of(row) == left
@@ -48,6 +57,7 @@ def test_what_the_simulator_needs_comes_back(episode: Episode) -> None:
     assert (head["task"], head["round"], head["split"]) == (episode.task, episode.round, episode.split)
     assert (head["episode"], head["seed"], head["steps"]) == (episode.index, episode.seed, len(episode.steps))
     assert head["success"] == episode.success
+    assert variation_of(head) == episode.variation
     assert head["failure"] == (None if episode.failure is None else episode.failure.value)
     assert head["failed_step"] == (None if episode.success else episode.steps[-1].situation.step)
 
@@ -136,7 +146,7 @@ def test_columns_of_other_types_are_refused(block: Path) -> None:
     table = read_table(block / STEPS, STEP_COLUMNS)
     position = table.schema.get_field_index("action")
     pq.write_table(table.set_column(position, "action", table["action"].cast("int64")), block / STEPS)
-    with pytest.raises(IntegrityError, match="columns of other types than schema version 1"):
+    with pytest.raises(IntegrityError, match=f"columns of other types than schema version {SCHEMA_VERSION}"):
         read_table(block / STEPS, STEP_COLUMNS)
 
 

@@ -83,7 +83,6 @@ from rema_data.augment import Augment
 from rema_data.convert import export_release, import_release
 from rema_data.release.folder import find_release
 from rema_data.store.block import BlockReader
-from rema_data.store.tables import table_version
 from rema_data.testing import make_release
 from rema_data.verify import verify
 import torch
@@ -116,7 +115,7 @@ reused = [block.key for block in parent.blocks]
 made = make_release(root, "later", tasks=(reused[0].task,), rounds=(2,), episodes=2, parent=parent, reused=reused)
 assert made.manifest.schema_version == new
 assert verify(made).ok, verify(made)
-assert {table_version(made.block(block).steps()) for block in made.manifest.blocks} == {parent.schema_version, new}
+assert {made.block(block).version() for block in made.manifest.blocks} == {parent.schema_version, new}
 both = rema_data.load(made.path, cache=folder / "cache")
 assert set(both.to_pandas()) == {column.name for column in columns.STEP_COLUMNS}
 assert len(both.steps(which="all")) == made.manifest.counts["steps"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from collections.abc import Callable
 from typing import Any
@@ -61,6 +62,12 @@ def larger(value: Any) -> Any:
     return value + 1
 
 
+def varied(**fields: Any) -> str:
+    """The column of the first episode, varied."""
+    return json.dumps({"axis": "act", "level": 1, "base": 0} | fields, separators=(",", ":"))
+
+
+DARK = {"seed": 1, "noise_m": -0.1, "edges": 0.0, "block": 1}
 CASES = [
     # the labels of an episode and of its steps
     ("grasp", "labels", EPISODES, cell(EPISODES, "success", True, success=False), "success contradicts"),
@@ -95,7 +102,8 @@ CASES = [
     ("grasp", "numbers", STEPS, cell(STEPS, "target_x_m", math.inf), "target_x_m is not a finite number"),
     ("grasp_push", "numbers", STEPS, cell(STEPS, "tool0_z_m", math.nan, last=True), "tool0_z_m is not a finite"),
     ("grasp", "numbers", STEPS, cell(STEPS, "target_width_m", 0.0), "target_width_m is not positive"),
-    ("grasp", "numbers", STEPS, cell(STEPS, "target_shape", "X"), "target_shape is not I, L or T"),
+    ("grasp", "numbers", STEPS, cell(STEPS, "target_shape", "X"), "target_shape is not a known shape"),
+    ("grasp", "numbers", STEPS, cell(STEPS, "target_shape", "U"), "is not I, L or T, and the episode is clean"),
     ("grasp", "numbers", STEPS, cell(STEPS, "target_arm_m", 0.0, target_shape="L"), "contradicts the shape"),
     ("grasp", "numbers", STEPS, cell(STEPS, "sim_steps", -1), "sim_steps is negative"),
     ("grasp", "numbers", STEPS, cell(STEPS, "policy", None), "policy has no value"),
@@ -122,7 +130,26 @@ CASES = [
     ("grasp_grasp", "tools", STEPS, cell(STEPS, "tool0_y_m", larger, last=True), "not as it was at the step before"),
     ("grasp_grasp_push", "tools", STEPS, cell(STEPS, "pinch_height_m", larger, last=True), "not the object"),
     ("grasp", "tools", STEPS, cell(STEPS, "pinch_left_m", 0.1), "nothing was picked yet"),
+    # what is varied
+    ("push", "variations", EPISODES, cell(EPISODES, "variation", "{"), "cannot be read"),
+    ("push", "variations", EPISODES, cell(EPISODES, "variation", '{"axis":"act","level":1}'), "cannot be read"),
+    ("push", "variations", EPISODES, cell(EPISODES, "variation", varied(wind=1)), "cannot be read"),
+    ("push", "variations", EPISODES, cell(EPISODES, "variation", varied().replace(",", ", ")), "cannot be read"),
+    ("push", "variations", EPISODES, cell(EPISODES, "variation", varied(level="1")), "cannot be read"),
+    ("push", "variations", EPISODES, cell(EPISODES, "variation", varied(level=0)), "no axis and level"),
+    ("push", "variations", EPISODES, cell(EPISODES, "variation", varied(base=7)), "of another episode"),
+    ("push", "variations", EPISODES, cell(EPISODES, "variation", varied(seen="0" * 64)), "what is seen"),
+    ("push", "variations", EPISODES, cell(EPISODES, "variation", varied(world=[["gravity", math.nan]])), "not finite"),
+    ("push", "variations", EPISODES, cell(EPISODES, "variation", varied(sense=DARK)), "that cannot be"),
 ]  # fmt: skip
+
+
+def test_a_varied_episode_may_have_other_shapes(whole: ReleaseFolder) -> None:
+    shape = cell(STEPS, "target_shape", "U", episode=0, target_shape="L")
+    described = cell(EPISODES, "variation", varied())
+    number = next(row for row in range(15) if findings(whole, "push", shape))  # the first one has an L
+    assert number == 0
+    assert findings(whole, "push", lambda *tables: described(*shape(*tables))) == []
 
 
 @pytest.mark.parametrize("task", TASKS)
