@@ -27,7 +27,7 @@ _NO_ACTION = 0
 """A corner of the grid, which is outside of the valid square: the answer of a policy that gives none."""
 
 
-class PoseEnv(gymnasium.Env[dict[str, Array], Array]):
+class PoseEnv(gymnasium.Env[dict[str, Any], Array]):
     """A task of rema with the observations and actions of ``rema export --format lerobot``.
 
     Parameters
@@ -72,7 +72,8 @@ class PoseEnv(gymnasium.Env[dict[str, Array], Array]):
         self.render_mode = render_mode
         self.scenarios = len(self._positions)
         self._max_episode_steps = len(TASKS[task]) if protocol == "end-to-end" else 1  # LeRobot asks for it
-        highest = {name: self._inner.observation_space[name].high for name in ("scene", "end_effector")}
+        inner: Any = self._inner.observation_space
+        highest = {name: inner[name].high for name in ("scene", "end_effector")}
         self.observation_space = spaces.Dict(
             {name: spaces.Box(0.0, planes, dtype=np.float32) for name, planes in _planes(highest).items()}
         )
@@ -134,8 +135,8 @@ class PoseEnv(gymnasium.Env[dict[str, Array], Array]):
     def _index(self, x_m: float, y_m: float, yaw_rad: float) -> int:
         if not np.isfinite([x_m, y_m, yaw_rad]).all():
             return _NO_ACTION
-        index = int(grid.snap(*np.clip([x_m, y_m], -grid.SCENE_HALF_M, grid.SCENE_HALF_M), yaw_rad % (2 * np.pi)))
-        i, j, k = grid.decode(index)
+        x, y = np.clip([x_m, y_m], -grid.SCENE_HALF_M, grid.SCENE_HALF_M)
+        i, j, k = grid.decode(int(grid.snap(x, y, yaw_rad % (2 * np.pi))))
         half = grid.ANGLES // 2
         if self._valid is not None and k >= half and not self._valid[:, :, half:].any():
             k -= half
