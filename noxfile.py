@@ -74,6 +74,13 @@ def recipes(session: nox.Session) -> None:
 
 
 @nox.session
+def harnesses(session: nox.Session) -> None:
+    """The tasks in the runners of vla-evaluation-harness and Inspect Robots; without these the tests skip them."""
+    session.install(".[test]", "vla-eval>=0.8", "inspect-robots>=0.60")
+    session.run("pytest", "tests/evaluator/harness", *session.posargs)
+
+
+@nox.session
 def newest(session: nox.Session) -> None:
     """The tests with the newest versions of all dependencies."""
     session.install("--upgrade", "--upgrade-strategy", "eager", ".[test]")

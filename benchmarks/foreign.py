@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["THERE", "digest", "main_there", "runs_there"]
+__all__ = ["THERE", "digest", "main_there", "runs_there", "step_digest"]
 
 THERE = "--there"
 
@@ -30,6 +30,11 @@ def digest(value: Any) -> str:
     about = f"{'text' if text is not array else array.dtype.str} {array.shape}".encode()
     content = json.dumps(text.tolist()).encode() if text is not array else np.ascontiguousarray(array).tobytes()
     return hashlib.sha256(about + content).hexdigest()[:16]
+
+
+def step_digest(step: Mapping[str, Any]) -> str:
+    """Of all values of a step by their names: a short text, as a release has many steps."""
+    return digest(sorted(f"{name} {digest(value)}" for name, value in step.items()))
 
 
 def runs_there() -> bool:
@@ -52,6 +57,6 @@ def main_there(read: Callable[[Path], tuple[Steps, Callable[[], dict[str, Any]]]
         seconds += time.perf_counter() - start
         if step is None:
             break
-        found.append({name: digest(value) for name, value in step.items()})
+        found.append(step_digest(step))
     target.write_text(json.dumps({"steps": found, "seconds": seconds, **facts()}))
     return 0

@@ -1,10 +1,12 @@
-"""How fast training reads: shuffled balanced batches, ours against HDF5, Minari, Hugging Face datasets and zarr-python.
+"""How fast training reads: shuffled balanced batches, ours against HDF5, Minari, LeRobot, datasets and zarr-python.
 
     python benchmarks/read.py                                          # rema-mini; without it, a synthetic release
     python benchmarks/read.py --release FOLDER --steps 4000 --samples 4096
 
 All readers get the same rows in the same order, drawn by ``BalancedSampler``, in one process on one core, from warm
 files; what they deliver is compared first, value by value. The readers take turns; a number is the median of the turns.
+LeRobot needs Python 3.12 and a PyTorch of its own choice: to have all readers in one run, run the script in its
+environment, with rema and Minari.
 """
 
 from __future__ import annotations
@@ -42,7 +44,7 @@ TASKS = ("grasp", "push", "grasp_grasp", "grasp_push")
 SEED = 0
 QUANTISED, FLOAT32, TAKE = "ours, quantised", "ours, float32", "numpy.take, quantised"
 CHECKED_BATCHES = 3
-PACKAGES = ("torch", "h5py", "zarr", "minari", "datasets", "pyarrow")
+PACKAGES = ("torch", "h5py", "zarr", "minari", "datasets", "lerobot", "pyarrow")
 
 
 @contextmanager

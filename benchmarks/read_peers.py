@@ -37,9 +37,11 @@ SCENE, END_EFFECTOR = (64, 64), (4, 112, 112)
 PIECE = 256
 PARQUET_ROWS = 1000
 """Of a file."""
+EPISODE = 200
+"""Frames of LeRobot that are held until they are written."""
 CACHE = "cache"
 """Folder of what a peer unpacks for itself, beside its files."""
-INSTALL = "pip install minari==0.5.4 datasets==5.2.0 pillow h5py"
+INSTALL = "python3.12 -m venv all && all/bin/pip install 'lerobot[dataset]>=0.6' 'minari>=0.5.4' pillow -e '.[gym]'"
 
 
 class Batch(NamedTuple):
@@ -369,6 +371,44 @@ def _open_hf_png(folder: Path, samples: Samples) -> Read:
     return read
 
 
+# LeRobot, which gives one frame after the other: its loader collates them
+
+
+def _write_lerobot(folder: Path, samples: Samples) -> None:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    features = {
+        "scene": {"dtype": "float32", "shape": SCENE, "names": None},
+        "end_effector": {"dtype": "float32", "shape": END_EFFECTOR, "names": None},
+        "action": {"dtype": "int64", "shape": (1,), "names": None},
+        "success": {"dtype": "bool", "shape": (1,), "names": None},
+    }
+    dataset = LeRobotDataset.create("rema/read", fps=1, features=features, root=folder / "data", use_videos=False)
+    for number, (scene, end_effector, action, success) in enumerate(samples.each(), 1):
+        labels = {"action": np.array([action]), "success": np.array([success]), "task": "read"}
+        dataset.add_frame({"scene": scene, "end_effector": end_effector, **labels})
+        if number % EPISODE == 0 or number == len(samples.rows):  # where an episode ends makes no difference to a row
+            dataset.save_episode()
+    dataset.finalize()
+
+
+def _open_lerobot(folder: Path, samples: Samples) -> Read:
+    os.environ["HF_DATASETS_CACHE"] = str(folder / CACHE)
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    dataset = LeRobotDataset("rema/read", root=folder / "data")
+
+    def read(rows: Rows) -> Batch:
+        arrays, batch = _blank(len(rows))
+        for place, row in enumerate(rows.tolist()):
+            found = dataset[row]
+            for array, name in zip(arrays, Batch._fields, strict=True):
+                array[place] = found[name].numpy()
+        return batch
+
+    return read
+
+
 # zarr-python on the release itself
 
 
@@ -399,7 +439,7 @@ def _open_zarr(folder: Path, samples: Samples) -> Read:
     return read
 
 
-HDF5, MINARI, DATASETS, ZARR = "HDF5", "Minari", "datasets", "zarr-python"
+HDF5, MINARI, DATASETS, LEROBOT, ZARR = "HDF5", "Minari", "datasets", "LeRobot", "zarr-python"
 PEERS: Sequence[Peer] = (
     Peer("HDF5 gzip, robomimic's layout", HDF5, "hdf5", ("h5py",), _write_hdf5, _open_hdf5),
     Peer("Minari, HDF5 files", MINARI, "minari-hdf5", ("minari", "h5py"), _minari_writer("hdf5"), _open_minari),
@@ -407,6 +447,7 @@ PEERS: Sequence[Peer] = (
     Peer("datasets, arrays, row by row", DATASETS, "hf-arrays", ("datasets",), _write_hf_arrays, _open_hf_rows),
     Peer("datasets, arrays, by batch", DATASETS, "hf-arrays", ("datasets",), _write_hf_arrays, _open_hf_batches),
     Peer("datasets, 16-bit PNG, by batch", DATASETS, "hf-png", ("datasets", "PIL"), _write_hf_png, _open_hf_png),
+    Peer("LeRobot, frame by frame", LEROBOT, "lerobot", ("lerobot",), _write_lerobot, _open_lerobot),
     Peer("zarr-python, row by row, our files", ZARR, "", ("zarr",), _no_files, _open_zarr),
 )
 """The quicker of those that share a ``group`` stands for it."""

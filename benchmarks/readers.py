@@ -6,6 +6,7 @@ The parts that the scripts ``*_reader.py`` share: they differ in the library, an
 from __future__ import annotations
 
 import json
+import resource
 import subprocess
 import sys
 import tempfile
@@ -16,7 +17,7 @@ from typing import Any
 
 from rich.table import Table
 
-from benchmarks.foreign import THERE, digest
+from benchmarks.foreign import THERE, step_digest
 from benchmarks.results import finish, parser, target
 from rema_data.convert import export_release, import_release
 from rema_data.convert.pieces import Piece, read_pieces
@@ -29,9 +30,7 @@ __all__ = ["compare"]
 Expected = Callable[[Piece], Iterable[Mapping[str, Any]]]
 
 
-def _wanted(
-    release: ReleaseFolder, tasks: Iterable[str], expected: Callable[[str], Expected]
-) -> Iterator[dict[str, str]]:
+def _wanted(release: ReleaseFolder, tasks: Iterable[str], expected: Callable[[str], Expected]) -> Iterator[str]:
     for task in sorted(tasks, key=TASK_NUMBERS.__getitem__):
         steps = expected(task)
         for block in sorted(
@@ -39,7 +38,7 @@ def _wanted(
         ):
             for piece in read_pieces(release.block(block)):
                 for step in steps(piece):
-                    yield {name: digest(value) for name, value in step.items()}
+                    yield step_digest(step)
 
 
 def compare(
@@ -85,6 +84,7 @@ def compare(
     with tempfile.TemporaryDirectory() as temporary:
         start = time.process_time()
         exported = export_release(release, Path(temporary) / "export", name, tasks=arguments.task)
+        numbers["peak_bytes"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024  # on Linux
         steps = sum(file.steps for file in exported)
         numbers["export_steps_per_cpu_s"] = steps / (time.process_time() - start)
         numbers["bytes_per_step"] = sum(file.bytes for file in exported) / steps
@@ -125,6 +125,8 @@ def compare(
             numbers["export_steps_per_cpu_s"] >= 1000,
         ),
     ]
+    peak = numbers["peak_bytes"]
+    targets.append(target("memory of the export at its peak", "< 1 GB", f"{peak / 1e9:.2f} GB", peak < 1e9))
     notes = [f"read by {numbers['library']}; {numbers['bytes_per_step']:,.0f} bytes a step in the export"]
     mismatch = bool(wrong_steps or wrong_facts or differences)
     return finish(arguments, f"{name}_reader", [table], targets, notes, numbers, mismatch=mismatch)

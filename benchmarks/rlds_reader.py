@@ -35,21 +35,24 @@ def read_there(folder: Path) -> tuple[Iterator[dict[str, Any]], Any]:
     in_order = tfds.ReadConfig(interleave_cycle_length=1)  # one file after another
     counted = 0
 
+    def with_episode(episode: dict[str, Any]) -> Any:
+        return episode["steps"].map(lambda step: {**step, "episode": episode["episode_metadata"]})
+
     def steps() -> Iterator[dict[str, Any]]:
         nonlocal counted
         for split in builder.info.splits:
-            for episode in builder.as_dataset(split=split, read_config=in_order):
-                counted += 1
-                about = {name: value.numpy() for name, value in episode["episode_metadata"].items()}
+            episodes = builder.as_dataset(split=split, read_config=in_order)
+            for step in tfds.as_numpy(episodes.flat_map(with_episode)):  # an iterator an episode takes much longer
+                counted += bool(step["is_first"])
+                about = step["episode"]
                 texts = {name: value.decode() if isinstance(value, bytes) else value for name, value in about.items()}
-                for step in tfds.as_numpy(episode["steps"]):
-                    plain = {name: value for name, value in step.items() if name not in (*TEXTS, "observation")}
-                    yield {
-                        **step["observation"],
-                        **plain,
-                        **{name: step[name].decode() for name in TEXTS},
-                        **{f"episode_{name}": value for name, value in texts.items()},
-                    }
+                apart = (*TEXTS, "observation", "episode")
+                yield {
+                    **step["observation"],
+                    **{name: value for name, value in step.items() if name not in apart},
+                    **{name: step[name].decode() for name in TEXTS},
+                    **{f"episode_{name}": value for name, value in texts.items()},
+                }
 
     def facts() -> dict[str, Any]:
         whole = counted == sum(split.num_examples for split in builder.info.splits.values())

@@ -54,7 +54,7 @@ class Draws:
     def draw(self, rng: np.random.Generator, simulator: Simulator) -> Start:
         """A scenario of the domain; the simulator picks the tools of a new one."""
         if self._domain != TRAIN:
-            return self._frozen(self._domain, int(rng.choice(self._playable)))
+            return self._frozen(self._domain, int(rng.choice(self.playable)))
         if self._plan.end_to_end:
             return Start("", Scenario(self._task, TRAIN, 0, draw_episode(rng, self._task)))
         return Start("", prepare(simulator, self._task, rng).scenario(self._task, TRAIN))
@@ -92,7 +92,7 @@ class Draws:
         return Start(name, Scenario(self._task, parts["split"], episode, draw_episode(rng, self._task)))
 
     @cached_property
-    def _playable(self) -> list[int]:
+    def playable(self) -> list[int]:
         """Positions in the list of the domain that the protocol can be played on."""
         scenarios = self._list(self._domain, None).scenarios
         return [scenario.index for scenario in scenarios if self._plan.eligible(scenario)]

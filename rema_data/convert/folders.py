@@ -19,7 +19,13 @@ import numpy.typing as npt
 
 from rema_data import interrupts
 from rema_data.convert.base import ExportedFile, ExportOptions, ExportPlan, ImportedBlock, Maps, Source
-from rema_data.convert.layout import obs_dtype, stored_end_effectors, stored_scenes
+from rema_data.convert.layout import (
+    obs_dtype,
+    obs_of_scenes,
+    planes_of_end_effectors,
+    stored_end_effectors,
+    stored_scenes,
+)
 from rema_data.convert.pieces import Piece, piece_bounds, read_pieces
 from rema_data.convert.seal import (
     AGAIN,
@@ -32,12 +38,13 @@ from rema_data.convert.seal import (
     open_sealed,
     sealed,
 )
-from rema_data.errors import InputError
+from rema_data.errors import InputError, IntegrityError
 from rema_data.grid import EE_PIXELS, SCENE_PIXELS
 from rema_data.progress import Progress
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import BlockEntry, Manifest
 from rema_data.schema import TASK_NUMBERS
+from rema_data.storage import file_sha256, not_written
 from rema_data.store.block import EPISODES, STEPS, BlockKey, BlockReader, EncodedMaps
 from rema_data.store.keys import SPLITS
 from rema_data.store.tables import with_column
@@ -130,6 +137,7 @@ class FolderFormat(ABC):
             return ExportedFile(path, episodes, steps, found.total_bytes, new=False)
         progress.phase(f"export {name}", steps)
         card = {f.path: release.file(f).read_bytes() for f in manifest.files if f.block is None and release.has(f)}
+        sums = {file.path: file.sha256 for file in manifest.files}
         with sealed(path, header, manifest, card) as folder:
             self.write(NewDataset(folder, release, tuple(blocks), plan.options.maps, progress))
             for block in blocks:
@@ -137,8 +145,28 @@ class FolderFormat(ABC):
                 target.mkdir(parents=True)
                 for table in (EPISODES, STEPS):
                     shutil.copyfile(release.block(block).folder / table, target / table)
+                    if file_sha256(target / table) != sums[f"{block.key.path}/{table}"]:
+                        raise not_written(path, f"{table} of {block.key.path}")
+            progress.phase(f"check {name}", steps)
+            self._compare(SealedFolder(folder, header, manifest, 0), release, blocks, progress)
         size = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
         return ExportedFile(path, episodes, steps, size, new=True)
+
+    def _compare(
+        self, dataset: SealedFolder, release: ReleaseFolder, blocks: Sequence[BlockEntry], progress: Progress
+    ) -> None:
+        """Read every map back as an import does; StorageError where one is not that of the release."""
+        for number, block in enumerate(blocks):
+            stream = _Stream(dataset, self.observations(dataset, number, block.steps))
+            for piece in read_pieces(release.block(block)):
+                interrupts.check()
+                try:
+                    scenes, end_effectors = stream.take(piece.steps.num_rows)
+                except IntegrityError as error:
+                    raise not_written(dataset.path, error.message) from error
+                if not _are_of(piece.maps, scenes, end_effectors, dataset.header.maps):
+                    raise not_written(dataset.path, f"the maps of {block.key.path}")
+                progress.advance(piece.steps.num_rows)
 
     @contextmanager
     def read(self, sources: Sequence[Path]) -> Iterator[Source]:
@@ -149,6 +177,18 @@ class FolderFormat(ABC):
 
 def _order(block: BlockEntry) -> tuple[int, int, int]:
     return TASK_NUMBERS[block.task], SPLITS.index(block.split), block.round
+
+
+def _are_of(maps: EncodedMaps, scenes: Array, end_effectors: Array, chosen: Maps) -> bool:
+    """Whether observations have the bits of stored maps; an end effector that steps share is decoded once."""
+    wanted = planes_of_end_effectors(maps.ee_depth, maps.ee_mask, chosen)
+    if end_effectors.flags.c_contiguous:  # arrays are compared fast where both lie in memory in the same way
+        wanted = np.ascontiguousarray(np.moveaxis(wanted, 1, -1))
+    else:
+        wanted = np.moveaxis(wanted, 1, -1)
+    return np.array_equal(scenes, obs_of_scenes(maps.scene, chosen)) and all(
+        np.array_equal(found, wanted[row]) for found, row in zip(end_effectors, maps.ee_row, strict=True)
+    )
 
 
 class _FolderSource:
@@ -227,10 +267,11 @@ class _Stream:
 
     def take(self, count: int) -> Observations:
         """The next observations."""
-        taken = [self._rest]
+        taken = [self._rest] if len(self._rest[0]) else []
         while sum(len(scenes) for scenes, _ in taken) < count:
             taken.append(self._next())
-        scenes, end_effectors = (np.concatenate(arrays) for arrays in zip(*taken, strict=True))
+        first, *others = taken or [self._rest]
+        scenes, end_effectors = first if not others else (np.concatenate(arrays) for arrays in zip(*taken, strict=True))
         self._rest = scenes[count:], end_effectors[count:]
         return scenes[:count], end_effectors[:count]
 

@@ -21,7 +21,7 @@ import pyarrow as pa
 from rema_data.convert.base import Maps
 from rema_data.convert.folders import FolderFormat, NewDataset
 from rema_data.convert.layout import INSTRUCTIONS, obs_dtype, obs_of_scenes, planes_of_end_effectors
-from rema_data.convert.nested import array_feature, feature, nested, parquet_writer, read_nested, with_features
+from rema_data.convert.nested import array_feature, feature, nested, read_nested, with_features, write_tables
 from rema_data.convert.pieces import Piece
 from rema_data.convert.seal import SealedFolder
 from rema_data.grid import EE_PIXELS, SCENE_PIXELS
@@ -80,15 +80,7 @@ class HuggingFace(FolderFormat):
 
 def write_steps(file: Any, pieces: Iterable[Piece], maps: Maps, version: int) -> None:
     """Write pieces of a block to a file, a row a step, with the columns of a schema version: that of the release."""
-    writer = None
-    try:
-        for piece in pieces:
-            table = _table(piece, maps, version)
-            writer = writer or parquet_writer(file, table.schema)
-            writer.write_table(table, row_group_size=table.num_rows)
-    finally:
-        if writer is not None:
-            writer.close()
+    write_tables(file, (_table(piece, maps, version) for piece in pieces), _MAPS)
 
 
 def _table(piece: Piece, chosen: Maps, version: int) -> pa.Table:

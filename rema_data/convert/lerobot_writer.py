@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -19,12 +20,13 @@ from rema_data.convert.lerobot_features import (
     EPISODES_PATH,
     FPS,
     LABELS,
+    MAPS,
     VERSION,
     features,
     frames,
     hugging_face,
 )
-from rema_data.convert.nested import nested, parquet_writer, with_features
+from rema_data.convert.nested import nested, with_features, write_tables
 from rema_data.convert.pieces import Piece
 from rema_data.heights import unpack_mask
 from rema_data.release.manifest import BlockEntry
@@ -75,20 +77,16 @@ class _Writer:
 
     def _write_block(self, number: int, block: BlockEntry) -> None:
         path = self._dataset.folder / DATA_PATH.format(chunk_index=0, file_index=number)
-        writer = None
         with new_file(path) as file:
-            try:
-                for piece in self._dataset.pieces(block):
-                    table = self._table(piece)
-                    writer = writer or parquet_writer(file, table.schema)
-                    writer.write_table(table, row_group_size=table.num_rows)
-                    self._episodes.append(piece.episodes)
-                    self._files += [number] * piece.episodes.num_rows
-                    self._frames += piece.steps.num_rows
-                    self._episode_count += piece.episodes.num_rows
-            finally:
-                if writer is not None:
-                    writer.close()
+            write_tables(file, self._tables(number, block), MAPS)
+
+    def _tables(self, number: int, block: BlockEntry) -> Iterator[pa.Table]:
+        for piece in self._dataset.pieces(block):
+            yield self._table(piece)
+            self._episodes.append(piece.episodes)
+            self._files += [number] * piece.episodes.num_rows
+            self._frames += piece.steps.num_rows
+            self._episode_count += piece.episodes.num_rows
 
     def _table(self, piece: Piece) -> pa.Table:
         maps, chosen = piece.maps, self._dataset.maps
@@ -141,8 +139,8 @@ class _Writer:
         self._write_table("meta/tasks.parquet", pa.Table.from_pandas(table))
 
     def _write_table(self, name: str, table: pa.Table) -> None:
-        with new_file(self._dataset.folder / name) as file, parquet_writer(file, table.schema) as writer:
-            writer.write_table(table)
+        with new_file(self._dataset.folder / name) as file:
+            write_tables(file, [table])
 
     def _write_json(self, name: str, content: dict[str, Any]) -> None:
         write_atomic(self._dataset.folder / name, json.dumps(content, indent=4) + "\n")

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from rema_data.convert.folders import NewDataset
 from rema_data.convert.hdf5_file import new_file
+from rema_data.convert.hdf5_written import Written
 from rema_data.convert.layout import INSTRUCTIONS, obs_of_end_effectors, obs_of_scenes, trajectory
 from rema_data.convert.pieces import Piece
 from rema_data.grid import ACTIONS, EE_PIXELS, SCENE_PIXELS
@@ -113,8 +114,8 @@ def _box(low: Array, high: Array) -> dict[str, Any]:
 
 def write_episodes(dataset: NewDataset) -> None:
     """Write ``main_data.hdf5``; OSError where the disk refuses."""
-    with new_file(dataset.folder / MAIN) as (root, check, _):
-        writer = _Writer(root.id)
+    with new_file(dataset.folder / MAIN) as (root, check, written):
+        writer = _Writer(root.id, written)
         for block in dataset.blocks:
             for piece in dataset.pieces(block):
                 writer.write(piece)
@@ -124,8 +125,8 @@ def write_episodes(dataset: NewDataset) -> None:
 class _Writer:
     """Writes episodes and counts them."""
 
-    def __init__(self, root: h5py.h5g.GroupID) -> None:
-        self._root = root
+    def __init__(self, root: h5py.h5g.GroupID, written: Written) -> None:
+        self._root, self._written = root, written
         self._count = 0
         self._scalar = h5py.h5s.create(h5py.h5s.SCALAR)
         self._untimed = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
@@ -177,6 +178,7 @@ class _Writer:
         h5py.h5d.create(parent, name.encode(), kind, space, dcpl=self._untimed).write(
             h5py.h5s.ALL, h5py.h5s.ALL, np.ascontiguousarray(array)
         )
+        self._written.array(f"{h5py.h5i.get_name(parent).decode()}/{name}", array)
 
     @cached_property
     def _scene(self) -> tuple[tuple[int, ...], Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,9 @@ import pyarrow.parquet as pq
 
 from rema_data.convert.pieces import PIECE_STEPS
 from rema_data.convert.seal import damaged
+from rema_data.storage import not_written
 
-__all__ = ["array_feature", "feature", "nested", "parquet_writer", "read_nested", "with_features"]
+__all__ = ["array_feature", "feature", "nested", "read_nested", "with_features", "write_tables"]
 
 Array = npt.NDArray[Any]
 _MOST_EPISODE_STEPS = 64
@@ -51,7 +52,32 @@ def with_features(schema: pa.Schema, features: Mapping[str, Any]) -> pa.Schema:
     return schema.with_metadata({"huggingface": json.dumps({"info": {"features": features}})})
 
 
-def parquet_writer(file: Any, schema: pa.Schema) -> pq.ParquetWriter:
+def write_tables(file: Any, tables: Iterable[pa.Table], maps: Iterable[str] = ()) -> None:
+    """Write tables to an open file, a row group each, and read all columns but ``maps`` back.
+
+    Raises StorageError where they are not what was written.
+    """
+    writer, written = None, []
+    try:
+        for table in tables:
+            writer = writer or _writer(file, table.schema)
+            writer.write_table(table, row_group_size=table.num_rows)
+            written.append(table.drop_columns(list(maps)))
+    finally:
+        if writer is not None:
+            writer.close()
+    if written:
+        file.seek(0)
+        wanted = pa.concat_tables(written)
+        try:
+            found = pq.ParquetFile(file, page_checksum_verification=True).read(wanted.column_names)
+        except (OSError, ValueError, pa.ArrowException) as error:
+            raise not_written(Path(file.name), str(error)) from error
+        if not found.equals(wanted):
+            raise not_written(Path(file.name))
+
+
+def _writer(file: Any, schema: pa.Schema) -> pq.ParquetWriter:
     """A writer of tables with maps, every option fixed. Equal heights are what a dictionary is good at."""
     return pq.ParquetWriter(
         file,

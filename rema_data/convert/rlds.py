@@ -13,6 +13,7 @@ Maps are compressed by themselves, as ``tfds.features.Tensor`` with ``encoding="
 
 from __future__ import annotations
 
+import hashlib
 import json
 import zlib
 from collections.abc import Iterator, Sequence
@@ -28,7 +29,7 @@ from rema_data.convert.rlds_features import EPISODE_VALUES, MAPS, VERSION, episo
 from rema_data.convert.seal import SealedFolder, damaged
 from rema_data.convert.tfrecord import Values, byte_lists, example, read_records, write_record
 from rema_data.schema import TASKS
-from rema_data.storage import new_file, write_atomic
+from rema_data.storage import new_file, not_written, write_atomic
 from rema_data.store.keys import SPLITS, BlockKey
 
 __all__ = ["Rlds"]
@@ -60,12 +61,23 @@ class Rlds(FolderFormat):
         sizes: dict[BlockKey, int] = {}
         keys = [block.key for block in dataset.blocks]
         for block in dataset.blocks:
-            with new_file(dataset.folder / _shard(keys, block.key)) as file:
-                sizes[block.key] = 0
+            path, written, found = dataset.folder / _shard(keys, block.key), hashlib.sha256(), hashlib.sha256()
+            with new_file(path) as file:
+                sizes[block.key] = longest = 0
                 for piece in dataset.pieces(block):
                     for record in _records(piece, dataset):
                         write_record(file, record)
+                        written.update(record)
                         sizes[block.key] += len(record)
+                        longest = max(longest, len(record))
+                file.seek(0)
+                try:
+                    for record in read_records(file, longest):
+                        found.update(record)
+                except ValueError as error:
+                    raise not_written(path, str(error)) from error
+                if found.digest() != written.digest():
+                    raise not_written(path)
         write_atomic(dataset.folder / "dataset_info.json", json.dumps(_info(dataset, sizes), indent=2) + "\n")
         about = json.dumps(features(dataset.maps, dataset.release.manifest.schema_version), indent=2)
         write_atomic(dataset.folder / "features.json", about + "\n")
@@ -77,17 +89,22 @@ class Rlds(FolderFormat):
         forms = {f"steps/observation/{name}": shape for name, shape in MAPS.items()}
         dtype, most = np.dtype(obs_dtype(dataset.header.maps)), len(TASKS[key.task])
         waiting: list[list[Array]] = []
+        unpacked: dict[tuple[str, bytes], Array] = {}  # of those that wait: steps share maps
         try:
             with path.open("rb") as file:
                 for record in read_records(file, most * _MOST_STEP_BYTES):
                     lists = byte_lists(record, list(forms))
                     if len({len(found) for found in lists.values()}) != 1 or len(next(iter(lists.values()))) > most:
                         raise ValueError(f"an episode has other maps than steps, or more than {most} steps")
-                    columns = [[_unpacked(data, shape, dtype) for data in lists[name]] for name, shape in forms.items()]
+                    for name, shape in forms.items():
+                        for data in lists[name]:
+                            if (name, data) not in unpacked:
+                                unpacked[name, data] = _unpacked(data, shape, dtype)
+                    columns = [[unpacked[name, data] for data in lists[name]] for name in forms]
                     waiting += [list(step) for step in zip(*columns, strict=True)]
                     if len(waiting) >= PIECE_STEPS:
                         yield _stacked(waiting)
-                        waiting = []
+                        waiting, unpacked = [], {}
         except (OSError, ValueError, zlib.error) as error:
             raise damaged(path, str(error)) from error
         if waiting:

@@ -43,7 +43,7 @@ def test_reading_against_others(tmp_path: Path, release: str) -> None:
         assert "HDF5 gzip, robomimic's layout" in speeds
     if find_spec("minari") is None:
         assert numbers["absent"]["Minari, HDF5 files"] == "not installed: minari"
-        assert any("pip install minari" in note for note in content["notes"])
+        assert any("minari" in note and "pip install" in note for note in content["notes"])
         verdicts = [row for row in content["targets"] if row["what"].endswith("Minari")]
         assert verdicts
         assert not any(row["reached"] for row in verdicts)
@@ -53,7 +53,9 @@ def test_reading_against_others(tmp_path: Path, release: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(find_spec("minari") is None or find_spec("datasets") is None, reason="needs minari and datasets")
+@pytest.mark.skipif(
+    any(find_spec(name) is None for name in ("minari", "datasets", "lerobot")), reason="needs minari and LeRobot"
+)
 def test_all_readers_deliver_the_same(tmp_path: Path, release: str) -> None:
     words = (
         "--release",

@@ -18,18 +18,6 @@ from evaluator.runner import EvaluationConfig, run_evaluation
 EPISODES = 30
 
 
-@pytest.fixture(scope="module")
-def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of the runs of this file, which share their observations."""
-    return tmp_path_factory.mktemp("real")
-
-
-@pytest.fixture(autouse=True)
-def _own_cache(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("REMA_HOME", str(home / "cache"))
-    monkeypatch.delenv("REMA_MANIFESTS", raising=False)
-
-
 def table(output: Path, **changes: Any) -> bytes:
     fields: dict[str, Any] = {"episodes": EPISODES, "workers": 2, **changes}
     run_evaluation(EvaluationConfig(resolve("scripted"), "grasp", output, **fields))
@@ -38,10 +26,7 @@ def table(output: Path, **changes: Any) -> bytes:
 
 @pytest.fixture(scope="module")
 def reference(home: Path) -> bytes:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("REMA_HOME", str(home / "cache"))
-        patch.delenv("REMA_MANIFESTS", raising=False)
-        return table(home / "reference", engine="inline", order="forward")
+    return table(home / "reference", engine="inline", order="forward")
 
 
 @pytest.mark.parametrize(("workers", "order"), [(1, "shuffled"), (2, "reverse"), (3, "forward")])

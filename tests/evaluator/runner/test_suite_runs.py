@@ -16,18 +16,6 @@ from rema_data.progress import Silent
 EPISODES = 40
 
 
-@pytest.fixture(scope="module")
-def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of the runs of this file, which share their observations."""
-    return tmp_path_factory.mktemp("suites")
-
-
-@pytest.fixture(autouse=True)
-def _own_cache(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("REMA_HOME", str(home / "cache"))
-    monkeypatch.delenv("REMA_MANIFESTS", raising=False)
-
-
 class Notes(Silent):
     """Keeps what it is told."""
 
@@ -46,10 +34,7 @@ def evaluated(output: Path, notes: Notes | None = None, **changes: Any) -> bytes
 
 @pytest.fixture(scope="module")
 def reference(home: Path) -> bytes:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("REMA_HOME", str(home / "cache"))
-        patch.delenv("REMA_MANIFESTS", raising=False)
-        return evaluated(home / "reference", engine="inline", order="forward")
+    return evaluated(home / "reference", engine="inline", order="forward")
 
 
 @pytest.mark.parametrize(("workers", "order"), [(1, "shuffled"), (2, "forward"), (3, "reverse")])

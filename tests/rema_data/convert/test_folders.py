@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from rema_data.convert import export_release, find_format, import_release
-from rema_data.convert.folders import FolderFormat
-from rema_data.errors import InputError, IntegrityError, MissingFileError, RemaError, RunMismatchError
+from rema_data.convert.folders import FolderFormat, NewDataset
+from rema_data.convert.pieces import Piece
+from rema_data.errors import InputError, IntegrityError, MissingFileError, RemaError, RunMismatchError, StorageError
 from rema_data.release.folder import ReleaseFolder
+from rema_data.release.manifest import BlockEntry
 from rema_data.testing import make_release
 from tests.rema_data.convert.conftest import files
 from tests.rema_data.convert.test_formats import BUILT_IN
@@ -43,6 +47,58 @@ def refuse(source: Path, kind: type[RemaError], words: str, format: str | None =
     assert caught.value.hint
     assert not target.exists() or list(target.iterdir()) == []
     return caught.value
+
+
+@pytest.mark.parametrize("name", FOLDERS)
+@pytest.mark.parametrize("array", ["scene", "ee_depth", "ee_mask"])
+def test_a_map_that_was_not_written_as_it_is_leaves_no_export(
+    name: str, array: str, release: ReleaseFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One bit of the last map of a block."""
+    pieces = NewDataset.pieces
+
+    def bent(self: NewDataset, block: BlockEntry) -> Iterator[Piece]:
+        *first, last = pieces(self, block)
+        changed = getattr(last.maps, array).copy()
+        changed[-1].flat[-1] ^= 1
+        yield from (*first, last._replace(maps=replace(last.maps, **{array: changed})))
+
+    monkeypatch.setattr(NewDataset, "pieces", bent)
+    with pytest.raises(StorageError, match=r"the maps of round-1/grasp/train") as caught:
+        export_release(release, tmp_path, name, tasks=["grasp"])
+    assert "run the same command again" in caught.value.hint
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", FOLDERS)
+def test_a_file_that_was_not_written_whole_leaves_no_export(
+    name: str, release: ReleaseFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kind = type(find_format(name))
+    write = kind.write
+
+    def cut(self: FolderFormat, dataset: NewDataset) -> None:
+        write(self, dataset)
+        data = [path for path in dataset.folder.rglob("*.*") if path.suffix != ".json" and "meta" not in path.parts]
+        largest = max(data, key=lambda path: path.stat().st_size)
+        os.truncate(largest, largest.stat().st_size - 5)
+
+    monkeypatch.setattr(kind, "write", cut)
+    with pytest.raises(StorageError, match="was not written"):
+        export_release(release, tmp_path, name, tasks=["grasp"], split="train")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_table_that_was_not_copied_as_it_is_leaves_no_export(
+    release: ReleaseFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def half(source: Path, target: Path) -> None:
+        target.write_bytes(source.read_bytes()[:-1])
+
+    monkeypatch.setattr(shutil, "copyfile", half)
+    with pytest.raises(StorageError, match=r"episodes.parquet of round-1/grasp/train"):
+        export_release(release, tmp_path, "hf", tasks=["grasp"])
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_there_are_formats_of_folders() -> None:
