@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from evaluator.policy.named import is_adapted
-from evaluator.policy.shipped import shipped_policies
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import MANIFEST, parse_manifest
 from rema_data.release.registry import published
@@ -16,6 +15,7 @@ from rema_data.storage import file_sha256
 
 ROOT = Path(__file__).parents[2]
 RELEASES = ROOT / "releases"
+SHIPPED = json.loads((ROOT / "manifests" / "checkpoints.json").read_text())["policies"]
 pytestmark = pytest.mark.skipif(not (RELEASES / "checkpoints").is_dir(), reason="the releases come with a clone only")
 
 
@@ -50,10 +50,11 @@ def test_every_network_names_the_release_that_it_learned_from() -> None:
         assert releases[card["release"]].manifest.sha256 == card["release_sha256"], path
 
 
-@pytest.mark.parametrize("policy", sorted(shipped_policies()))
+@pytest.mark.parametrize("policy", sorted(SHIPPED))
 def test_a_policy_is_adapted_where_a_release_of_its_cards_has_changed_situations(policy: str) -> None:
-    releases, folder = release_folders(), RELEASES / "checkpoints" / shipped_policies()[policy][0]
-    names = {json.loads(path.read_text())["release"] for path in folder.glob("*.json")}
+    releases, entries = release_folders(), [SHIPPED[policy], *SHIPPED[policy].get("tasks", {}).values()]
+    cards = [path for entry in entries for path in (RELEASES / "checkpoints" / entry["folder"]).glob("*.json")]
+    names = {json.loads(path.read_text())["release"] for path in cards}
     tables = [releases[name].block(entry).episodes() for name in names for entry in releases[name].manifest.blocks]
     assert tables and is_adapted(policy) == any(
         "variation" in table.column_names and table["variation"].null_count < len(table) for table in tables
