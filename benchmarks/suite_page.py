@@ -59,6 +59,9 @@ Everything is frozen in the list: objects, seeds of the noise, displacements. An
 functions of a scenario and an action, as in the clean protocol, whose lists, constants and results a suite does not
 touch.
 
+Every scenario also has the sha256 of its maps. A run compares them before it asks the policy: a machine that works the
+noise out differently ends it with exit code 6, at the first 512 observations.
+
 A scenario without noise or displacement can be solved: one of {tries} actions, those of the reference policy first,
 solves it. One that cannot is drawn again, so the ceiling of such a cell is 100 %.
 

@@ -149,8 +149,7 @@ def matrix(board: Board, protocol: str) -> tuple[list[str], list[list[str]]]:
             scored = lines[key].get(task)
             line.append("" if scored is None else _short(scored))
             if task in hard:
-                known = scored is not None and scored.hard is not None
-                found = hardened.get((task, lines[key][task].policy_digest)) if known else None
+                found = None if scored is None or scored.hard is None else hardened.get((task, scored.policy_digest))
                 line.append("-" if found is None else _short_hard(found))
         made.append(line)
     return header, made
