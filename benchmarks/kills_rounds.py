@@ -4,10 +4,10 @@
     python benchmarks/kills_rounds.py --kills 2 --percent 0.1 --updates 2
 
 The plan is that of rema-v1 with its four rounds and the joint networks, a share of its episodes, small networks and few
-updates. One folder is killed again and again, after a random time each, in turn the process alone (its simulators
-outlive it for a moment) and its whole group; what is left of the kills when it is done goes on in a new folder. At the
-end it runs undisturbed. Compared are all files of all sealed releases, and of the networks all but ``stages.json``,
-which has times. Exits with 6 if a file differs or is left behind.
+updates. A run is killed and started again until it ends by itself, each time after a random time of up to that of an
+undisturbed run: in turn the process alone (its simulators outlive it for a moment) and its whole group. Then another
+one begins in a new folder; after the last kill it runs undisturbed. Compared are all files of all sealed releases, and
+of the networks all but ``stages.json``, which has times. Exits with 6 if a file differs or is left behind.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def main() -> int:
         while len(rows) < arguments.kills:
             folder, before = Path(name) / f"run-{len(runs)}", len(rows)
             while len(rows) < arguments.kills:
-                life_s = rng.uniform(0, 2 * seconds / (arguments.kills + 1))
+                life_s = rng.uniform(0, seconds)
                 group = bool(len(rows) % 2)
                 if not kill_after(verb, folder, life_s, group):
                     break  # it was done before
