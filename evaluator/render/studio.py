@@ -105,7 +105,7 @@ def shot_of_world(
         name: np.array([state[0] for state in world.client.getJointStates(arm.body, every)])
         for name, arm in world.arms.items()
     }
-    bodies = []
+    bodies: list[Body] = []
     for (role, spec), body in zip(roles, world.objects, strict=False):
         position, quaternion = world.client.getBasePositionAndOrientation(body)
         if not bodies and any(mass_offset_m):

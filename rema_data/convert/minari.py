@@ -103,7 +103,7 @@ class Minari(FolderFormat):
 
 def _varies(reader: BlockReader) -> bool:
     column = reader.episodes()[VARIATION]
-    return column.null_count < len(column)
+    return bool(column.null_count < len(column))
 
 
 def _maps(file: h5py.File, name: str) -> tuple[Array, Array]:

@@ -126,8 +126,8 @@ def _table_configs(manifest: Manifest) -> list[str]:
     every = ["*"]
     groups = [("steps", STEPS, manifest.blocks, every), ("episodes", EPISODES, manifest.blocks, every)]
     if _mixed(manifest):
-        own = [block for block in manifest.blocks if block.holder == manifest.name]
-        shared = [block for block in manifest.blocks if block.holder != manifest.name]
+        own = tuple(block for block in manifest.blocks if block.holder == manifest.name)
+        shared = tuple(block for block in manifest.blocks if block.holder != manifest.name)
         groups[1:] = [
             ("episodes", EPISODES, own, [manifest.name]),
             ("episodes-earlier", EPISODES, shared, _others(manifest)),
