@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 import rema_data
 from rema_data.convert import export_release, import_release
 from rema_data.diff import diff_releases
 from rema_data.errors import IntegrityError
 from rema_data.gallery import find_steps
+from rema_data.publish.card import dataset_card
 from rema_data.publish.dataset import publish_release
 from rema_data.release.folder import ReleaseFolder
 from rema_data.schema import Shape
@@ -171,6 +173,13 @@ def test_a_release_with_earlier_blocks_is_published(tmp_path: Path, caplog: pyte
     publish_release(made, tmp_path / "hub")
     records = _records(tmp_path / "hub" / "croissant.json", caplog)
     assert len(records) == made.manifest.counts["episodes"] and "episodes/variation" not in records[0]
+    front = yaml.safe_load(dataset_card(made.manifest, "org/name", viewer=False).split("---\n")[1])
+    paths = {config["config_name"]: config["data_files"][0]["path"] for config in front["configs"]}
+    assert paths == {
+        "steps": "*/round-*/*/train/steps.parquet",
+        "episodes": "newer/round-*/*/train/episodes.parquet",
+        "episodes-earlier": "older/round-*/*/train/episodes.parquet",
+    }
 
 
 @reads_croissant

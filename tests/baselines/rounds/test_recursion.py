@@ -312,11 +312,12 @@ picks = "reference"
 episodes = { train = 24, val = 24 }
 tasks = ["grasp", "push", "grasp_push"]
 """
+"""Scripted grasps and pushes with a tool fail often enough to learn from."""
 NETWORK = """
 [[rounds.networks]]
 network = "joint/{primitive}"
 primitive = "{primitive}"
-tasks = ["grasp_push"]
+tasks = ["{task}"]
 on_empty = "renormalise"
 updates = 2
 validate_every = 2
@@ -339,7 +340,8 @@ def small(text: str) -> str:
 def test_varied_rounds_continue_a_clean_recursion(tmp_path: Path) -> None:
     """The plan of rema-v1-hard, small: collected, trained on both, and whole."""
     pytest.importorskip("duckdb", reason="conditions need DuckDB, part of the extra `query`")
-    (tmp_path / "tiny.toml").write_text(BEFORE + "".join(NETWORK.format(primitive=p) for p in ("grasp", "push")))
+    networks = [NETWORK.format(primitive=one, task=task) for one, task in (("grasp", "grasp"), ("push", "grasp_push"))]
+    (tmp_path / "tiny.toml").write_text(BEFORE + "".join(networks))
     hard = (ROOT / "manifests" / "plans" / "rema-v1-hard.toml").read_text()
     (tmp_path / "hard.toml").write_text(small(hard))
     for name, stages in (("tiny", 3), ("hard", 4)):
