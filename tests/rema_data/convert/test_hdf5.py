@@ -67,7 +67,7 @@ def test_every_column_is_there_with_its_unit(exported: Path) -> None:
     with h5py.File(exported / f"{TASK}.hdf5") as file:
         for demo, episode in zip((file[f"data/demo_{n}"] for n in range(12)), episodes(TASK), strict=True):
             found = dict(demo.attrs)
-            nulls = {"failure", "failed_step"} if episode.success else set()
+            nulls = {"variation"} | ({"failure", "failed_step"} if episode.success else set())
             assert set(found) == {column.name for column in EPISODE_COLUMNS} - nulls | {"num_samples"}
             assert (found["task"], found["split"], found["episode"]) == (TASK, episode.split, episode.index)
             assert found.get("failure") == episode.failure
