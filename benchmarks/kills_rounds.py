@@ -7,7 +7,8 @@ The plan is that of rema-v1 with its four rounds and the joint networks, a share
 updates. A run is killed and started again until it ends by itself, each time after a random time of up to that of an
 undisturbed run: in turn the process alone (its simulators outlive it for a moment) and its whole group. Then another
 one begins in a new folder; after the last kill it runs undisturbed. Compared are all files of all sealed releases, and
-of the networks all but ``stages.json``, which has times. Exits with 6 if a file differs or is left behind.
+of the networks all but ``stages.json``, which has times. Exits with 6 if a file differs or is left behind. Cards name
+the commit of the code, and releases the networks with their cards: leave the checkout as it is meanwhile.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from rich.table import Table
 from baselines.rounds.sealed import STAGES
 from benchmarks.results import ROOT, finish, parser, target
 from benchmarks.signals import Verb, digests, listens, names, started, whole_run
+from evaluator.run.environment import code_commit
 
 PLAN = ROOT / "manifests" / "plans" / "rema-v1.toml"
 NAME = "killed"
@@ -94,7 +96,7 @@ def main() -> int:
         def compared(folder: Path) -> dict[str, str]:
             return {path: found for path, found in digests(verb, folder).items() if not path.endswith(STAGES)}
 
-        reference = Path(name) / "reference"
+        commit, reference = code_commit(), Path(name) / "reference"
         seconds, failed = whole_run(verb, reference)
         if failed:
             raise SystemExit(f"the undisturbed run failed:\n{failed}")
@@ -114,6 +116,8 @@ def main() -> int:
             different = sorted(path for path in {*wanted, *found} if wanted.get(path) != found.get(path))
             left = sorted(names(folder / "out") - usual)
             runs.append({"kills": len(rows) - before, "different": different, "left": left, "failed": failed[-2000:]})
+        if code_commit() != commit:
+            raise SystemExit("the checkout was changed meanwhile: the cards of the networks name another commit")
     table = Table("killed", "after, s", "sealed by then", title=f"rema-v1 at {arguments.percent:g} % of its episodes")
     for row in rows:
         table.add_row(row["killed"], f"{row['after_s']:.1f}", row["done"])
