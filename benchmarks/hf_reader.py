@@ -8,6 +8,7 @@ Give ``datasets`` an environment of its own, without rema, and name its Python. 
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -28,7 +29,8 @@ ORDER = ("grasp", "push", "grasp_grasp", "grasp_push", "grasp_grasp_push")
 
 def read_there(folder: Path) -> tuple[Iterator[dict[str, Any]], Any]:
     """Rows as ``datasets`` gives them."""
-    cache = tempfile.mkdtemp()
+    folder_of_cache = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+    cache = folder_of_cache.name
     os.environ |= {"HF_HUB_OFFLINE": "1", "HF_HOME": cache, "HF_DATASETS_CACHE": cache}
     import datasets
 
@@ -45,8 +47,10 @@ def read_there(folder: Path) -> tuple[Iterator[dict[str, Any]], Any]:
                     for n in range(rows.stop - rows.start):
                         plain = {name: repr(values[n]) for name, values in told.items()}
                         yield {**{name: values[n] for name, values in seen.items()}, **plain}
+            shutil.rmtree(cache, ignore_errors=True)  # 217 kB a step: one task at a time
 
     def facts() -> dict[str, Any]:
+        folder_of_cache.cleanup()
         library = f"datasets {datasets.__version__}"
         return {"configurations": ", ".join(configurations), "library": library}
 

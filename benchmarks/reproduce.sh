@@ -24,11 +24,14 @@ rema verify rema-mini
 python benchmarks/open.py --json $results/open.json
 python benchmarks/sampler.py --json $results/sampler.json
 python benchmarks/size.py --json $results/size.json
-python benchmarks/read.py --release rema-mini --steps 1000 --samples 512 --repeats 3 --seconds 1 --json $results/read.json # pip install minari==0.5.4 datasets==5.2.0 pillow
+python benchmarks/read.py --release rema-mini --steps 1000 --samples 512 --repeats 3 --seconds 1 --json $results/read.json # in an environment with LeRobot and Minari, see the script
 python benchmarks/download.py --json $results/download.json # with nginx on the path
 python benchmarks/robomimic_reader.py --json $results/robomimic_reader.json # pip install robomimic, see the script
 for format in lerobot minari rlds hf; do # each reader in an environment of its own, see the scripts
   python benchmarks/${format}_reader.py --python environments/$format/bin/python --release rema-sample --json $results/${format}_reader.json
+done
+for harness in lerobot vla-eval inspect-robots; do # as the readers
+  python benchmarks/harnesses.py --harness $harness --python environments/$harness/bin/python --json $results/harness_${harness//-/_}.json
 done
 
 rema rounds manifests/plans/rema-v0.toml # stages that are done are kept; its network after round 2 picks tools
