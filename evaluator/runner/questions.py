@@ -116,7 +116,9 @@ def infer_batches(
 def _others(situations: Sequence[Situation], observations: Sequence[Observation]) -> int:
     """How many observations are not those that their list was frozen with; clean lists do not say."""
     frozen = ("" if one.variation is None else one.variation.seen for one in situations)
-    return sum(known not in ("", observation_sha256(seen)) for known, seen in zip(frozen, observations, strict=True))
+    return sum(
+        known != "" and known != observation_sha256(seen) for known, seen in zip(frozen, observations, strict=True)
+    )
 
 
 def check_faults(ledger: Ledger) -> None:
