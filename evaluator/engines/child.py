@@ -24,6 +24,8 @@ from rema_data.leftovers import temporary_folder
 __all__ = ["Child", "call_in_child", "process_pool"]
 
 THREAD_CAPS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+HUGE_PAGES = "glibc.malloc.hugetlb=1"
+"""Bullet clears 8 MB of memory whenever a world is built: in huge pages that takes two thirds of the time."""
 _TAIL_BYTES = 2000
 
 
@@ -42,6 +44,7 @@ class Child:
             **os.environ,
             "TMPDIR": str(self._folder.enter_context(temporary_folder("rema-worker-"))),
             **dict.fromkeys(THREAD_CAPS, "1"),
+            "GLIBC_TUNABLES": ":".join(filter(None, (os.environ.get("GLIBC_TUNABLES"), HUGE_PAGES))),
             "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path),
             "PYTHONSAFEPATH": "1",  # a file of the working folder must not stand in for a module
         }

@@ -21,8 +21,11 @@ __all__ = ["ProcessEngine"]
 
 ATTEMPTS = 2
 """An episode that costs this many workers is given up."""
-_LOW_WATER = 5
+_LOW_WATER = 15
 """A worker is given its next batch when this many jobs are left, so that it never waits for its parent."""
+_PAUSE_S = 0.05
+"""At most, between two looks at workers that all have more than that to do: every result would wake this process, which
+takes a core from a worker for longer than it needs to read the result."""
 _FAILED_STARTS = 3
 """After so many workers in a row that died before they were ready, no more are started."""
 
@@ -87,6 +90,7 @@ class ProcessEngine:
         self._suspects: deque[Job] = deque()
         self._returned: deque[JobBatch] = deque()
         self._failed_starts = 0
+        self._job_s = 0.0  # time of a job, of late
 
     def map(self, batches: Iterable[JobBatch]) -> Iterator[BatchResult]:
         """Run the batches; see ``Engine.map``. Raises InfrastructureError where no worker can be started."""
@@ -141,6 +145,9 @@ class ProcessEngine:
     def _collect(self) -> list[JobResult]:
         """Wait for messages, deaths or a deadline; results of everything that can be read at once."""
         results: list[JobResult] = []
+        spare = min(len(worker.jobs) for worker in self._seats.values()) - _LOW_WATER
+        if spare > 0:
+            time.sleep(min(_PAUSE_S, spare * self._job_s))
         busy = [worker for worker in self._seats.values() if worker.jobs]
         deadline = min(worker.heard for worker in busy) + self._limit_s
         by_channel = {worker.channel: worker for worker in self._seats.values()}
@@ -153,6 +160,8 @@ class ProcessEngine:
                 self._lose(worker, results, "hung", f"no sign of life for {self._limit_s:g} s")
             elif not worker.jobs and worker.retiring:
                 self._remove(worker, grace_s=1.0)
+        if results:
+            self._job_s = sum(result.seconds for result in results) / len(results)
         return results
 
     def _read(self, worker: _Worker, results: list[JobResult]) -> None:

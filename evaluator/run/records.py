@@ -13,7 +13,7 @@ import os
 import time
 import zlib
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, NotRequired
@@ -25,7 +25,7 @@ from evaluator.engines.base import InfraError
 from rema_data import grid
 from rema_data.errors import IntegrityError
 from rema_data.json_files import parse_json
-from rema_data.schema import Failure, StepOutcome, outcome_from_dict
+from rema_data.schema import Failure, StepOutcome, outcome_from_dict, to_dict
 from rema_data.storage import storage_errors, sync_folder
 
 __all__ = ["Answered", "Journal", "Ledger", "Records", "Simulated", "read_journal", "same_outcome"]
@@ -284,7 +284,7 @@ class Ledger(Records):
         for record in records:
             self._keep_outcome(record)
             failed = isinstance(record.outcome, InfraError)
-            content = asdict(record.outcome)
+            content = to_dict(record.outcome)
             rows.append(
                 {
                     "index": record.index,
@@ -317,4 +317,4 @@ def same_outcome(one: StepOutcome | InfraError, other: StepOutcome | InfraError)
 
 
 def _text(outcome: StepOutcome | InfraError) -> str:
-    return json.dumps(asdict(outcome), default=_plain)
+    return json.dumps(to_dict(outcome), default=_plain)

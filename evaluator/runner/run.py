@@ -11,7 +11,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from evaluator.engines import make_engine
+from evaluator.engines import default_workers, make_engine
 from evaluator.engines.child import call_in_child
 from evaluator.policy.wire import TAGS
 from evaluator.rollout.backend import Backend, PolicyProcess, check_digest, default_backend
@@ -256,7 +256,7 @@ class _Run:
                     self.progress,
                     simulator=backend.simulator,
                     engine="process",
-                    workers=1,
+                    workers=min(config.workers or default_workers(), default_workers()),  # here, whatever the engine
                     order="forward",
                 )
             return audit_summary(wanted, self.ledger, again)

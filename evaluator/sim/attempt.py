@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
 
 from evaluator.sim.motion import JointPath
 from evaluator.sim.parameters import WorldParameters
@@ -50,7 +50,8 @@ class Attempt:
     target: int  # body of the object of this step
     allowed: tuple[int, ...]  # bodies that may touch the target
     forbidden: tuple[int, ...] = ()  # bodies that must not touch the target
-    evidence: Evidence = field(default_factory=Evidence)  # what was measured so far
+    # the fields of ``Evidence``, as measured so far: every few simulation steps, and a frozen record is slow to replace
+    evidence: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(**Evidence().evidence()))
     loose: tuple[int, ...] = ()  # further loose objects, which stay on the table
     posts: tuple[int, ...] = ()  # bodies that nothing may touch
 
@@ -64,21 +65,15 @@ class Attempt:
         """Time between two joint targets."""
         return self.parameters.time_step_s * self.parameters.control_every
 
-    def note(self, **measured: Any) -> None:
-        """Replace fields of the evidence."""
-        self.evidence = dataclasses.replace(self.evidence, **measured)
-
     def note_lift(self, rest_z_m: float) -> float:
         """Measure how far the target's centre of mass is above its height at rest now, m."""
         height: float = self.world.pose(self.target)[2] - rest_z_m
-        if height > self.evidence.lift_m:
-            self.note(lift_m=height)
+        self.evidence.lift_m = max(self.evidence.lift_m, height)
         return height
 
     def too_much(self, force_n: float) -> bool:
         """Measure the force of a descent, and say whether it calls for the protective stop."""
-        if force_n > self.evidence.peak_force_n:
-            self.note(peak_force_n=force_n)
+        self.evidence.peak_force_n = max(self.evidence.peak_force_n, force_n)
         return force_n > self.parameters.stop_force_n
 
     def step(self, count: int = 1) -> None:
@@ -97,7 +92,7 @@ class Attempt:
         if any(touching(body, self.target) for body in self.forbidden) or (
             self.posts and any(touching(body, post) for post in self.posts for body in (*self.acting, self.target))
         ):
-            self.note(illegal_steps=self.evidence.illegal_steps + 1)
+            self.evidence.illegal_steps += 1
             raise AttemptFailed(Failure.ILLEGAL_CONTACT)
 
     @property
@@ -121,25 +116,21 @@ class Attempt:
         """Whether an allowed body presses on the target now; counted as evidence."""
         touching = any(self.world.touching(body, self.target) for body in self.allowed)
         if touching:
-            self.note(contact_steps=self.evidence.contact_steps + 1)
+            self.evidence.contact_steps += 1
         return touching
-
-    def command(self, paths: Sequence[JointPath], tick: int) -> None:
-        """Set every hand's joint targets for one control tick."""
-        for hand, path in zip(self.hands, paths, strict=True):
-            hand.arm.follow(path.positions[tick + 1], path.velocities[tick])
 
     def descend(self, paths: Sequence[JointPath]) -> None:
         """Move down, and end the attempt if hand or tool lands on the target (protective stop)."""
         bodies = {hand.arm.body for hand in self.hands} | {hand.tool for hand in self.hands if hand.tool is not None}
         bodies |= set(self.allowed)
         struck = (self.target, *self.loose)
-        for tick in range(len(paths[0].velocities)):
-            self.command(paths, tick)
+        for targets in zip(*(path.targets() for path in paths), strict=True):
+            for hand, target in zip(self.hands, targets, strict=True):
+                hand.arm.follow(*target)
             for _ in range(self.parameters.control_every):
                 self.world.step()
                 if self.too_much(sum(self.world.force(body, on) for on in struck for body in bodies)):
-                    self.note(contact_steps=self.evidence.contact_steps + 1)
+                    self.evidence.contact_steps += 1
                     raise AttemptFailed(Failure.BLOCKED)
                 self.check_forbidden()
 

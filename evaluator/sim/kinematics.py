@@ -83,7 +83,9 @@ def solve_path(
     ``symmetric``: the hand looks the same after half a turn (bare gripper), so that joint 7 may be turned by pi.
     """
     joints = solve(base, x_m, y_m, z_m, yaw_rad, parameters)
-    q7 = np.unwrap(joints[..., 6], axis=-1)
+    q7 = joints[..., 6]
+    if not (np.abs(np.diff(q7)) < np.pi).all():  # NaN is not; else unwrapping would change nothing
+        q7 = np.unwrap(q7, axis=-1)
     turn = np.pi if symmetric else 2 * np.pi
     middle = (q7.max(axis=-1, keepdims=True) + q7.min(axis=-1, keepdims=True)) / 2
     joints[..., 6] = q7 - turn * np.rint(middle / turn)

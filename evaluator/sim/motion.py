@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -41,6 +42,10 @@ class JointPath:
     positions: Array  # float64 (n + 1, 7), radians; the first row is where the path starts
     velocities: Array  # float64 (n, 7), radians per second on the way to the next row
 
+    def targets(self) -> Iterator[tuple[list[float], list[float]]]:
+        """Positions and velocities of every control tick after the start."""
+        return zip(self.positions[1:].tolist(), self.velocities.tolist(), strict=True)
+
     @property
     def reachable(self) -> bool:
         """Whether the whole path is within the joint limits."""
@@ -62,5 +67,5 @@ def line(
     ``start`` and ``end`` are world (x, y, z), metres; ``shares`` float64 (n + 1,); ``symmetric`` as in ``solve_path``.
     """
     way = np.asarray(start)[:, None] + (np.asarray(end) - np.asarray(start))[:, None] * shares
-    positions = solve_path(base, way[0], way[1], way[2], np.full(shares.shape, yaw_rad), symmetric, parameters)
+    positions = solve_path(base, *way, yaw_rad, symmetric, parameters)
     return JointPath(positions, np.diff(positions, axis=0) / tick_s)

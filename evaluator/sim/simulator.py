@@ -13,7 +13,7 @@ from evaluator.sim.reach import acting_arm
 from evaluator.sim.staging import Pose, target_thing, turned
 from evaluator.sim.varied import aimed_at, executed, parameters_of
 from evaluator.sim.world import Unstable, World
-from rema_data.schema import Action, Evidence, Failure, Grip, Pinch, Situation, StepOutcome
+from rema_data.schema import Action, Failure, Grip, Pinch, Situation, StepOutcome
 
 
 class Simulator:
@@ -60,7 +60,7 @@ class Simulator:
         grips = kind.grips(situation) or (None,) * len(bodies)
         hands = [Hand(arm, grip) for arm, grip in zip(world.arms.values(), grips, strict=True)]
         allowed, forbidden = (bodies, ()) if kind.bare else ((), bodies)
-        attempt = Attempt(world, situation, hands, body, allowed, forbidden, Evidence(arm=arm), loose, posts)
+        attempt = Attempt(world, situation, hands, body, allowed, forbidden, loose=loose, posts=posts)
         failure: Failure | None = None
         made: Grip | Pinch | None = None
         try:
@@ -72,8 +72,7 @@ class Simulator:
             world.check(body, *loose)
         except Unstable:
             failure, made = Failure.UNSTABLE, None
-        attempt.note(sim_steps=world.steps)
-        measured = attempt.evidence.evidence()
+        measured = {**vars(attempt.evidence), "arm": arm, "sim_steps": world.steps}
         if not all(math.isfinite(value) for value in measured.values() if isinstance(value, float)):
             return StepOutcome(False, Failure.UNSTABLE, arm=arm, sim_steps=world.steps)
         grip = made if isinstance(made, Grip) else None

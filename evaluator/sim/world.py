@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 import pybullet
 
@@ -87,17 +86,17 @@ class Arm:
             self._p.resetJointState(self.body, joint, value, 0.0)
         for joint in robots.FINGER_JOINTS:
             self._p.resetJointState(self.body, joint, opening_m / 2, 0.0)
-        self.follow(joints, np.zeros(7))
+        self.follow(joints.tolist(), [0.0] * 7)
         self.hold_fingers(opening_m)
 
-    def follow(self, joints: Array, velocities: Array) -> None:
-        """Set the joint targets (rad, rad/s), float64 (7,) each."""
+    def follow(self, joints: list[float], velocities: list[float]) -> None:
+        """Set the targets of the 7 joints (rad, rad/s)."""
         self._p.setJointMotorControlArray(
             self.body,
             robots.ARM_JOINTS,
             pybullet.POSITION_CONTROL,
-            targetPositions=joints.tolist(),
-            targetVelocities=velocities.tolist(),
+            targetPositions=joints,
+            targetVelocities=velocities,
             forces=self._forces,
             positionGains=self._gains,
         )

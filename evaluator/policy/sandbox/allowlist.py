@@ -148,7 +148,9 @@ class _Survey:
         self.read: list[str] = []
         self.listed: list[str] = []
         self._unseen = unseen
-        self._crowded = [place for place in crowded if place.name not in _PACKAGES_FOLDERS]
+        self._around_unseen = {parent for secret in unseen for parent in secret.parents}
+        found = [place for place in crowded if place.name not in _PACKAGES_FOLDERS]
+        self._crowded = {place for other in found for place in (other, *other.parents)}
         self._done: set[Path] = set()
 
     def add(self, root: Path) -> None:
@@ -156,15 +158,15 @@ class _Survey:
         with suppress(OSError):
             # /proc/self is another folder in every process: to be looked up by the one that is meant.
             place = root if root.parts[:2] == ("/", "proc") else root.resolve()
-            if place.exists() and not any(secret in (place, *place.parents) for secret in self._unseen):
+            if place.exists() and self._unseen.isdisjoint((place, *place.parents)):
                 self._allow(place)
 
     def _allow(self, place: Path) -> None:
         if place in self._done:
             return
         self._done.add(place)
-        crowded = any(place in (other, *other.parents) for other in self._crowded)
-        if not crowded and not any(place in secret.parents for secret in self._unseen):
+        crowded = place in self._crowded
+        if not crowded and place not in self._around_unseen:
             self.read.append(str(place))
             return
         self.listed.append(str(place))

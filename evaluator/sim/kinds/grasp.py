@@ -66,8 +66,8 @@ class Grasp(GraspKind):
 
         rest_z = world.pose(attempt.target)[2]
         lost = 0
-        for row in range(len(up.velocities)):
-            attempt.command([up], row)
+        for row, target in enumerate(up.targets()):
+            hand.arm.follow(*target)
             attempt.step(p.control_every)
             if row % (POLL_EVERY // p.control_every) == 0:
                 attempt.note_lift(rest_z)

@@ -80,7 +80,7 @@ def command(attempt: Attempt, path: PairPath, row: int, inwards_m: float, moving
     for side, hand in enumerate(attempt.hands):
         target = path.positions[side, row] - inwards_m * path.outwards[side, row]
         still = not moving or row == 0
-        hand.arm.follow(target, np.zeros(7) if still else path.velocities[side, row - 1])
+        hand.arm.follow(target.tolist(), [0.0] * 7 if still else path.velocities[side, row - 1].tolist())
 
 
 @dataclass(slots=True)

@@ -82,7 +82,7 @@ class Pincer(TwoArms, GraspKind):
             attempt.step(p.control_every)
             left, right = squeeze.forces(attempt)
             if left > 0 or right > 0:
-                attempt.note(contact_steps=attempt.evidence.contact_steps + 1)
+                attempt.evidence.contact_steps += 1
             if min(left, right) >= p.pair_contact_n:
                 contact = row
                 break

@@ -71,7 +71,7 @@ class PushKind(Kind):
     def check_moved(self, attempt: Attempt, start_x_m: float) -> None:
         """Fail the attempt unless the target moved far enough in +x and every tool is still in hand."""
         moved = attempt.world.pose(attempt.target)[0] - start_x_m
-        attempt.note(displacement_m=moved)
+        attempt.evidence.displacement_m = moved
         if not attempt.tools_held():
             raise AttemptFailed(Failure.TOOL_LOST)
         if moved < attempt.parameters.push_success_m:

@@ -55,8 +55,8 @@ class Push(PushKind):
             raise AttemptFailed(Failure.UNREACHABLE)
         self.approach(attempt, pose, low, across)
         start_x = world.pose(attempt.target)[0]
-        for row in range(len(across.velocities)):
-            attempt.command([across], row)
+        for row, target in enumerate(across.targets()):
+            hand.arm.follow(*target)
             attempt.step(p.control_every)
             if row % (POLL_EVERY // p.control_every) == 0:
                 attempt.touched()

@@ -58,8 +58,8 @@ def shake(simulator: Simulator, rng: np.random.Generator) -> tuple[float, float]
     ToolPush().take(attempt, (0.0, 0.0, yaw), 0.15)
     before = attempt.grip_in_hand(hand)
     path = JointPath(joints, np.diff(joints, axis=0) * 120)
-    for tick in range(len(path.velocities)):
-        attempt.command([path], tick)
+    for target in path.targets():
+        hand.arm.follow(*target)
         attempt.step(WORLD.control_every)
     after = attempt.grip_in_hand(hand)
     return math.dist(before[:3], after[:3]), abs(after[3] - before[3])
