@@ -133,7 +133,9 @@ def batch_frame(
     """The question ``number`` about this batch: ``op`` is one of ``REPLIES``."""
     header: dict[str, Any] = {"op": op, "number": number, **{name: getattr(batch, name) for name in _STEP}}
     if situations is not None:
-        shown = (dataclasses.replace(one, variation=None) for one in situations)  # not what a suite changes
+        shown = (  # not what a suite changes
+            one if one.variation is None else dataclasses.replace(one, variation=None) for one in situations
+        )
         header["situations"] = [to_dict(situation) for situation in shown]
     arrays = {
         "scene": (batch.scene, 1),

@@ -155,7 +155,7 @@ def test_an_interrupted_audit_goes_on_where_it_stopped(fake_home: Path) -> None:
         def note(self, text: str) -> None:
             pass
 
-    config = fake_config(fake_home / "run", episodes=100, engine="inline")
+    config = fake_config(fake_home / "run", episodes=100, engine="inline", workers=1)  # one batch of repeats is left
     process = FakePolicyProcess()
     with pytest.raises(KeyboardInterrupt):
         run_evaluation(config, Impatient(), backend=fake_backend(process))
