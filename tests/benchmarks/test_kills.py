@@ -36,7 +36,6 @@ def test_the_killed_recursion_is_the_papers_at_a_share_of_its_size(tmp_path: Pat
 
 
 @pytest.mark.slow
-@pytest.mark.benchmark
 def test_a_killed_recursion_leaves_the_same_bytes(tmp_path: Path) -> None:
     numbers = measured(tmp_path, "kills_rounds", "--kills", "2", "--percent", "0.5", "--updates", "2")["numbers"]
     assert len(numbers["kills"]) == 2 == sum(one["kills"] for one in numbers["runs"])
