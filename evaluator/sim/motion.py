@@ -67,5 +67,5 @@ def line(
     ``start`` and ``end`` are world (x, y, z), metres; ``shares`` float64 (n + 1,); ``symmetric`` as in ``solve_path``.
     """
     way = np.asarray(start)[:, None] + (np.asarray(end) - np.asarray(start))[:, None] * shares
-    positions = solve_path(base, *way, yaw_rad, symmetric, parameters)
+    positions = solve_path(base, way[0], way[1], way[2], yaw_rad, symmetric, parameters)
     return JointPath(positions, np.diff(positions, axis=0) / tick_s)
