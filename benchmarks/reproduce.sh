@@ -70,7 +70,7 @@ python benchmarks/leaderboard.py
 python benchmarks/command_line.py
 python benchmarks/train.py --tried --json $results/train.json
 python benchmarks/train.py --device cuda --batches 8,32,128,512,2048 --updates 8 --json $results/train_cuda.json # on a GPU
-python benchmarks/infer.py --checkpoint releases/checkpoints/rema-v0/joint --runtimes --json $results/infer.json
+python benchmarks/infer.py --checkpoint releases/checkpoints/rema-v1/joint --runtimes --json $results/infer.json
 python benchmarks/half_precision.py --checkpoint releases/checkpoints/rema-v0/joint --scenarios 250 --json $results/half_precision.json
 
 python benchmarks/isolation.py --run runs/random-grasp-conditional --json $results/isolation.json
