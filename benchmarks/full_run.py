@@ -6,7 +6,7 @@
 ``Bare stepping`` is the time that the run's simulation steps take inside ``stepSimulation`` alone, shared by its
 workers without a gap. It is measured by repeating a sample of the run's own episodes, in as many processes at once as
 the run had workers, with the clock running only inside ``stepSimulation``; the seconds a step of the sample, times the
-steps of the run, divided by the workers. The target is for scripted policies.
+steps of the run, divided by the workers. The targets are for scripted policies.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ from evaluator.sim.simulator import Simulator
 from rema_data.errors import InputError, MissingFileError
 from rema_data.schema import TASKS, Situation
 
-RATIO = 1.25
+RATIOS = {"grasp": 1.25, "push": 1.45}
+"""At most, of scripted runs: short episodes have more of what is not stepping."""
 WORKERS = 2
 WARM_UP = 5
 PHASES = ("observe", "infer", "simulate")
@@ -150,9 +151,10 @@ def report(costs: list[Cost]) -> tuple[Table, list[dict[str, Any]], list[dict[st
                 "sampled": item.sampled,
             }
         )
-        if summary["policy"] == "scripted":
+        most = RATIOS.get(summary["task"])
+        if summary["policy"] == "scripted" and most is not None:
             targets.append(
-                target(f"{summary['task']}: run over bare stepping", f"<= {RATIO}", f"{ratio:.2f}", ratio <= RATIO)
+                target(f"{summary['task']}: run over bare stepping", f"<= {most}", f"{ratio:.2f}", ratio <= most)
             )
     return table, targets, numbers
 

@@ -285,7 +285,7 @@ def main() -> int:
             other.add_row(name, f"{ms:.1f}", f"{gap:.1g}")
         tables.append(other)
         numbers["runtimes"] = measured
-    notes = [f"{torch.get_num_threads()} threads; torch {torch.__version__}.", *others]
+    notes = [f"Threads: {torch.get_num_threads()}; torch {torch.__version__}.", *others]
     return finish(arguments, "infer", tables, targets, notes, numbers)
 
 

