@@ -213,8 +213,8 @@ def report(setting: Setting, names: list[str], arguments: argparse.Namespace) ->
         best = max(names, key=lambda name: numbers[name][task])
         rate = numbers[best][task] / runs[best, task].counts.eligible
         targets.append(target(f"{task}, {WAYS[best].title}", f">= {goal:.0%}", f"{rate:.1%}", rate >= goal))
-    notes = ["One training of each way: another seed changes a rate by some points. Whoever takes the best of these"
-             " rates takes luck with it: the test scenarios have the last word."]  # fmt: skip
+    notes = ["One training of each way: another seed changes a rate by some points. The best of these rates is in part"
+             " luck: what counts is the rate of that way over the test scenarios."]  # fmt: skip
     return finish(arguments, "fine", [rates, gains, *parts], targets, notes, {"ways": numbers})
 
 
