@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import shutil
+import subprocess
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -104,6 +105,10 @@ def _calls_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Waiting for a child looks at the flag as often as there is time: here the number of looks is to be the same."""
     for module in ("evaluator.runner.run", "evaluator.runner.merge", "baselines.rounds.collect"):
         monkeypatch.setattr(import_module(module), "call_in_child", lambda target: load_attribute(target)())
+    monkeypatch.setattr(
+        "evaluator.run.environment.run_command",
+        lambda command, folder, timeout: subprocess.run(command, cwd=folder, timeout=timeout, capture_output=True),
+    )
 
 
 @pytest.fixture
