@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import sys
-import time
 import types
 from pathlib import Path
 from typing import Any
@@ -129,17 +128,6 @@ def test_workers_are_light_capped_and_alone_in_their_group() -> None:
 def test_call_in_child_reports_what_went_wrong() -> None:
     with pytest.raises(InfrastructureError, match="nothing_here"):
         call_in_child("tests.evaluator.engines.light:nothing_here")
-
-
-def test_overhead_of_an_episode_is_small() -> None:
-    jobs, engine = fake_jobs(3000), ProcessEngine(SIMULATOR, 1)
-    running = engine.map(job_batches(jobs))
-    done = len(next(running))  # the worker has started
-    start = time.perf_counter()
-    simulated = sum(result.seconds for part in running for result in part)
-    spent = time.perf_counter() - start
-    engine.close()
-    assert (spent - simulated) / (3000 - done) < 1e-3  # a tenth of this, alone on a machine
 
 
 def test_what_an_engine_cannot_be_made_with() -> None:

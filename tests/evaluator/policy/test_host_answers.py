@@ -13,7 +13,7 @@ from rema_data.errors import InputError
 from .batches import make_batch, make_situation
 from .conftest import WritePolicy
 
-LIMITS = PolicyLimits(start_s=30, batch_s=2)
+LIMITS = PolicyLimits(start_s=120, batch_s=30)
 
 
 def reasons(answers: list[int | PolicyFault]) -> list[str]:

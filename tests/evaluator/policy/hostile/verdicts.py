@@ -10,9 +10,9 @@ from rema_data import grid
 from tests.evaluator.policy.batches import make_batch, make_situation
 from tests.evaluator.policy.hostile import every
 
-PATIENT = PolicyLimits(start_s=60, batch_s=30, single_s=30)
+PATIENT = PolicyLimits(start_s=120, batch_s=60, single_s=60)
 SMALL = PolicyLimits(
-    start_s=60, batch_s=30, memory_bytes=400 << 20, disk_bytes=48 << 20, disk_files=100, tasks=64, open_files=256
+    start_s=120, batch_s=60, memory_bytes=400 << 20, disk_bytes=48 << 20, disk_files=100, tasks=64, open_files=256
 )
 SHORT = replace(SMALL, batch_s=1.0, single_s=1.0)
 _LIMITS = {
