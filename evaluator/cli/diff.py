@@ -8,14 +8,12 @@ import click
 
 from evaluator.cli.options import json_option
 from evaluator.cli.output import line, print_answer, print_table
+from rema_data.errors import IntegrityError
 
 if TYPE_CHECKING:
     from rema_data.diff import ReleaseDiff
 
-__all__ = ["DIFFERENT", "diff"]
-
-DIFFERENT = 1
-"""Exit code where the releases differ, as of ``diff`` and ``cmp``."""
+__all__ = ["diff"]
 
 
 @click.command()
@@ -24,7 +22,7 @@ DIFFERENT = 1
 @json_option
 @click.pass_context
 def diff(ctx: click.Context, a: str, b: str, as_json: bool) -> None:
-    """Compare release A with release B: blocks, rows and columns; exit code 1 where they differ.
+    """Compare release A with release B: blocks, rows and columns; exit code 6 where they differ.
 
     A and B are names or folders. Blocks with the same bytes are equal and not read. Only a different description is no
     difference.
@@ -38,7 +36,7 @@ def diff(ctx: click.Context, a: str, b: str, as_json: bool) -> None:
         found = diff_releases(*sides, progress)
     print_answer(found, as_json, _print)
     if not found.equal:
-        ctx.exit(DIFFERENT)
+        ctx.exit(IntegrityError.exit_code)
 
 
 def _print(found: ReleaseDiff) -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from evaluator.cli.diff import DIFFERENT
 from evaluator.cli.main import cli
+from rema_data.errors import IntegrityError
 from rema_data.release.folder import ReleaseFolder
 from rema_data.store.block import STEPS, BlockKey
 from rema_data.testing import make_release
@@ -35,12 +35,12 @@ def test_equal_releases(release: ReleaseFolder, tmp_path: Path) -> None:
 def test_releases_that_differ(release: ReleaseFolder, tmp_path: Path) -> None:
     changed = change_cell(copy(release, tmp_path), KEY, STEPS, "lift_m", 2, 0.5)
     result = diff(release.path, changed.path)
-    assert result.exit_code == DIFFERENT == 1
+    assert result.exit_code == IntegrityError.exit_code
     lines = [line.split() for line in result.stdout.splitlines()]
     assert [KEY.path, "changed", "6", "6", "6", "6"] in lines
     assert [KEY.path, "steps", "0", "0", "1", "lift_m", "1"] in lines
     printed = diff(release.path, changed.path, "--json")
-    assert printed.exit_code == DIFFERENT
+    assert printed.exit_code == IntegrityError.exit_code
     assert json.loads(printed.stdout)["blocks"][0]["tables"][0]["changed"] == 1
 
 
