@@ -47,16 +47,16 @@ def part(parent: h5py.Group, path: str) -> Any:
 
     Raises KeyError where there is none, IntegrityError where a link leads elsewhere.
     """
-    found = parent
-    for name in path.split("/"):
-        link = found.get(name, getlink=True)
-        if link is None:
+    found = parent.id  # below h5py, which needs longer for a link than for a small array
+    for name in map(str.encode, path.split("/")):
+        if not isinstance(found, h5py.h5g.GroupID) or not found.links.exists(name):
             raise KeyError(f"{parent.name.rstrip('/')}/{path}")
-        if not isinstance(link, h5py.HardLink):
+        if found.links.get_info(name).type != h5py.h5l.TYPE_HARD:
+            link = h5py.Group(found).get(name, getlink=True)
             target = f"the file {link.filename!r}" if isinstance(link, h5py.ExternalLink) else f"{link.path!r}"
             raise _refusal(parent, path, f"is a link to {target}: an import follows none")
-        found = found[name]
-    return found
+        found = h5py.h5o.open(found, name)
+    return h5py.Group(found) if isinstance(found, h5py.h5g.GroupID) else h5py.Dataset(found)
 
 
 def members(parent: h5py.Group) -> Iterator[tuple[str, Any]]:

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import closing
+from pathlib import Path
 from typing import Any, ClassVar
 
 import h5py
@@ -30,7 +31,7 @@ import numpy.typing as npt
 
 from rema_data.convert.base import ExportedFile, ExportOptions, ExportPlan
 from rema_data.convert.folders import FolderFormat, NewDataset
-from rema_data.convert.hdf5_file import open_file, reading
+from rema_data.convert.hdf5_file import damaged, open_file, reading
 from rema_data.convert.hdf5_parts import dataset as array_of
 from rema_data.convert.hdf5_parts import part
 from rema_data.convert.minari_writer import MAIN, METADATA, dataset_name, metadata, write_episodes
@@ -46,6 +47,7 @@ from rema_data.store.columns import VARIATION
 __all__ = ["Minari"]
 
 Array = npt.NDArray[Any]
+_KEPT_MAPS = 64
 
 
 class Minari(FolderFormat):
@@ -90,10 +92,10 @@ class Minari(FolderFormat):
         first = sum(counts[:number])
         path = dataset.path / MAIN
         with closing(open_file(path)) as file:
-            waiting: list[tuple[Array, Array]] = []
+            maps, waiting = _Maps(file), list[tuple[Array, Array]]()
             for index in range(first, first + counts[number]):
                 with reading(path):
-                    waiting.append(_maps(file, f"episode_{index}"))
+                    waiting.append(maps(index))
                 if sum(len(scenes) for scenes, _ in waiting) >= PIECE_STEPS:
                     yield _joined(waiting)
                     waiting = []
@@ -106,10 +108,28 @@ def _varies(reader: BlockReader) -> bool:
     return bool(column.null_count < len(column))
 
 
-def _maps(file: h5py.File, name: str) -> tuple[Array, Array]:
-    seen = part(file, f"{name}/observations")
-    scenes, end_effectors = (array_of(seen, kind)[:-1] for kind in ("scene", "end_effector"))
-    return scenes[..., None], end_effectors
+class _Maps:
+    """Reads the maps of episodes. Most hands are bare: what is stored as one of the last maps is not unpacked again."""
+
+    def __init__(self, file: h5py.File) -> None:
+        self._file = file
+        self._unpacked: dict[bytes, Array] = {}
+
+    def __call__(self, episode: int) -> tuple[Array, Array]:
+        """Scenes and end effectors of the steps of an episode, without the last one, which is there twice."""
+        seen = part(self._file, f"episode_{episode}/observations")
+        scenes, hands = (array_of(seen, kind) for kind in ("scene", "end_effector"))
+        if hands.chunks != (1, *hands.shape[1:]):
+            raise damaged(Path(self._file.filename), f"{hands.name} is not stored a map a chunk")
+        return scenes[:-1][..., None], np.concatenate([self._hand(hands, step) for step in range(len(hands) - 1)])
+
+    def _hand(self, stored: h5py.Dataset, step: int) -> Array:
+        _, packed = stored.id.read_direct_chunk((step, *(0,) * (stored.ndim - 1)))
+        if packed not in self._unpacked:
+            if len(self._unpacked) >= _KEPT_MAPS:
+                self._unpacked.clear()
+            self._unpacked[packed] = np.asarray(stored[step : step + 1])
+        return self._unpacked[packed]
 
 
 def _joined(maps: list[tuple[Array, Array]]) -> tuple[Array, Array]:
