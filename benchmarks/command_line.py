@@ -37,15 +37,20 @@ def page() -> str:
         command = cli.get_command(context, name)
         assert command is not None
         parts.append("\n".join(_verb(name, command)))
+        if isinstance(command, click.Group):
+            parts += ["\n".join(_verb(f"{name} {word}", own, "###")) for word, own in command.commands.items()]
     return "\n".join(parts)
 
 
-def _verb(name: str, command: click.Command) -> Iterator[str]:
+def _verb(name: str, command: click.Command, heading: str = "##") -> Iterator[str]:
     arguments = [parameter for parameter in command.params if isinstance(parameter, click.Argument)]
     options = [parameter for parameter in command.params if isinstance(parameter, click.Option)]
-    yield f"## rema {name}\n"
-    yield f"    rema {' '.join([name, *(_argument(one) for one in arguments), '[OPTIONS]'])}\n"
+    rest = "COMMAND" if isinstance(command, click.Group) else "[OPTIONS]" if options else ""
+    yield f"{heading} rema {name}\n"
+    yield f"    rema {' '.join(filter(None, [name, *(_argument(one) for one in arguments), rest]))}\n"
     yield f"{inspect.cleandoc(command.help or '')}\n"
+    if not options:
+        return
     yield "| option | values | what |"
     yield "|---|---|---|"
     for option in options:

@@ -45,7 +45,7 @@ def runs_there() -> bool:
 def main_there(read: Callable[[Path], tuple[Steps, Callable[[], dict[str, Any]]]]) -> int:
     """Read an export with the other library, and write what was seen as JSON.
 
-    ``read`` gives the steps of a data set as values by name, and a function that is called after the last of them for
+    ``read`` gives the steps of a dataset as values by name, and a function that is called after the last of them for
     further facts.
     """
     folder, target = Path(sys.argv[2]), Path(sys.argv[3])

@@ -4,7 +4,7 @@
     python benchmarks/minari_reader.py --python minari/bin/python --release rema-sample --task grasp_push
 
 Minari is no dependency of rema: give it an environment of its own, with rema, and name its Python. Some episodes of
-each data set are played again with their recorded actions in the environment that ``recover_environment`` makes. Exits
+each dataset are played again with their recorded actions in the environment that ``recover_environment`` makes. Exits
 with 6 if anything differs, or more outcomes than another machine than that of the release explains (docs/replay.md).
 """
 
@@ -25,7 +25,7 @@ from benchmarks.foreign import main_there, runs_there
 
 INSTALL = "python -m venv minari && minari/bin/pip install 'minari[hdf5]>=0.5.3' -e '.[gym]'"
 REPLAYED = 20
-"""Episodes of a data set that are played again."""
+"""Episodes of a dataset that are played again."""
 MOST_FLIPS = 2
 """Of these, how many may have another outcome: on another kind of processor, contact amplifies a last bit."""
 

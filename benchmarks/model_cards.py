@@ -32,7 +32,7 @@ its training](network.md) describes the layers, [the learned baselines](baseline
 **Limits.** {LIMITS} [The generalisation
 suite](suite.md) measures how far they hold where the world is another.
 
-**Licence** of the weights: that of the repository.
+**Licence** of the weights: MIT.
 """
 
 

@@ -107,7 +107,7 @@ vary = ["clutter", "tool", "sense"]     # or vary = {{ axes = ["clutter", "tool"
 
 Of the episodes, {clean:.0%} are clean, or the share that the plan says. Each of the others has one axis, of those that
 its task has, at one of its levels; axes, and levels of an axis, are drawn equally often, from the generator of the
-episode. Scenes are those of the collection, so none is one of a suite. Nobody looks whether an episode can be solved,
+episode. Scenes are those of the collection, so none is one of a suite. Whether an episode can be solved is not checked,
 and tools are picked by the policy of the first steps. Clean episodes keep every byte: a plan without `vary` makes the
 release that it always made. [dataset.md](dataset.md#varied-episodes) says how a release records what is varied.
 

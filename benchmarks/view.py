@@ -1,6 +1,6 @@
 """How long `rema view` takes: from the command to the first rows, from an address to a painted page, from key to map.
 
-    python benchmarks/view.py                                   # rema-v0, 52,000 episodes; with Chromium also the page
+    python benchmarks/view.py                                   # rema-v1, 108,000 episodes; with Chromium also the page
     python benchmarks/view.py --pictures docs/images            # also the pictures of docs/view.md
 
 A process of its own serves the release; the files are in the page cache. Requests are medians over episodes that are
@@ -126,7 +126,7 @@ def draw(address: str, folder: Path, link: str) -> None:
 def main() -> int:
     """Serve, ask, print."""
     arguments_ = parser(__doc__)
-    arguments_.add_argument("--release", default="rema-v0", help="name or folder")
+    arguments_.add_argument("--release", default="rema-v1", help="name or folder")
     arguments_.add_argument("--repeats", type=int, default=9, help="how often everything is asked for")
     arguments_.add_argument("--pictures", type=Path, metavar="FOLDER", help="write the pictures of docs/view.md")
     arguments_.add_argument("--link", default=LINK, help="what the pictures show, as in the page's address")

@@ -48,7 +48,7 @@ def evaluate(
         ``my_policy.py``, ``my_policy.py:ClassName`` or the name of an installed policy.
     task : str
     episodes : int, optional
-        The first so many scenarios of the list; by default 10,000, and all of a suite's.
+        The first so many scenarios of the list; by default all: 10,000 of ``test``, 2,000 of ``val``.
     output : str or Path, optional
         Run folder; ``runs/POLICY-TASK-PROTOCOL`` by default.
     checkpoint : str or Path, optional
@@ -163,7 +163,10 @@ def _scenarios(
         if split != "test":
             raise InputError(f"a fresh list has no {split} split", hint="drop --split")
         return fresh_list(fresh, task, episodes or COUNT, workers, progress), episodes or COUNT
-    return None, episodes or 10_000
+    from evaluator.scenarios.lists import installed_list
+
+    found = None if episodes else installed_list(task, split)
+    return None, episodes or (found[1] if found else 1)  # without a list the run says what is missing
 
 
 def read_run(path: str | Path, *, progress: Progress | None = None) -> Run:

@@ -56,7 +56,7 @@ def main() -> None:
     try:
         release = rema_data.load(options.release)
         trees = {primitive: fit(release, primitive, options) for primitive in ("grasp", "push")}
-    except RemaError as error:  # with the edit or the command that mends it
+    except RemaError as error:  # with the edit or the command that fixes it
         print(error, file=sys.stderr)
         sys.exit(error.exit_code)
     joblib.dump(trees, options.output, compress=3)

@@ -35,7 +35,7 @@ def main() -> None:
     options = parser.parse_args()
     try:
         train(options)
-    except RemaError as error:  # with the edit or the command that mends it
+    except RemaError as error:  # with the edit or the command that fixes it
         print(error, file=sys.stderr)
         sys.exit(error.exit_code)
 

@@ -57,17 +57,34 @@ def _shares(context: click.Context, parameter: click.Parameter, values: tuple[st
 @click.command()
 @click.option("--release", required=True, help="Name of a release, or its folder.")
 @click.option("--tasks", required=True, callback=_names, help="Whose steps are used, separated by commas.")
-@click.option("--primitive", required=True, type=click.Choice([item.value for item in Primitive]))
+@click.option(
+    "--primitive",
+    required=True,
+    type=click.Choice([item.value for item in Primitive]),
+    help="Which network: grasp or push.",
+)
 @click.option("--skills", callback=_names, help="Steps of some skills only, separated by commas.  [default: all]")
 @click.option("--subset", metavar="10pct-r1", help="A fixed 1 or 10 % of the training episodes, replicate 1 to 10.")
 @where_option
 @click.option("--output", required=True, type=click.Path(path_type=Path), help="Folder of the networks of a policy.")
 @click.option("--name", help="Of the network in it.  [default: the primitive]")
 @click.option("--updates", type=int, default=160_000, show_default=True, help="Steps of the optimiser.")
-@click.option("--batch-size", type=int, default=8, show_default=True)
-@click.option("--learning-rate", type=float, default=1e-4, show_default=True)
-@click.option("--schedule", type=click.Choice(["constant", "cosine"]), default="constant", show_default=True)
-@click.option("--balance", type=click.Choice(["exact", "average"]), default="exact", show_default=True)
+@click.option("--batch-size", type=int, default=8, show_default=True, help="Samples an update.")
+@click.option("--learning-rate", type=float, default=1e-4, show_default=True, help="Of Adam.")
+@click.option(
+    "--schedule",
+    type=click.Choice(["constant", "cosine"]),
+    default="constant",
+    show_default=True,
+    help="cosine: the rate falls to zero over the updates.",
+)
+@click.option(
+    "--balance",
+    type=click.Choice(["exact", "average"]),
+    default="exact",
+    show_default=True,
+    help="Of skill and success: in every minibatch, or on average.",
+)
 @click.option(
     "--share",
     "shares",
@@ -76,12 +93,24 @@ def _shares(context: click.Context, parameter: click.Parameter, values: tuple[st
     metavar="SKILL=NUMBER",
     help="Draws of a skill for one of each other.",
 )
-@click.option("--hard-share", type=float, default=0.0, show_default=True, help="Of the failures: hard ones.")
-@click.option("--hard-every", type=int, default=500, show_default=True, help="Updates between two looks for them.")
-@click.option("--on-empty", type=click.Choice(["raise", "renormalise"]), default="raise", show_default=True)
+@click.option(
+    "--hard-share",
+    type=float,
+    default=0.0,
+    show_default=True,
+    help="Share of the failures of a minibatch that are the hardest ones found.",
+)
+@click.option("--hard-every", type=int, default=500, show_default=True, help="Updates between two searches for them.")
+@click.option(
+    "--on-empty",
+    type=click.Choice(["raise", "renormalise"]),
+    default="raise",
+    show_default=True,
+    help="A skill without successes or failures: refuse, or use the rest.",
+)
 @click.option("--rotate/--no-rotate", default=True, show_default=True, help="Turn grasps.")
 @click.option("--mirror/--no-mirror", default=True, show_default=True, help="Mirror pushes.")
-@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--seed", type=int, default=0, show_default=True, help="Of weights, draws and augmentations.")
 @click.option("--seeds", callback=_seeds, metavar="0-2", help="One training a seed, each in OUTPUT/seed-N.")
 @click.option(
     "--precision",
@@ -91,12 +120,18 @@ def _shares(context: click.Context, parameter: click.Parameter, values: tuple[st
     help="Of the layers while they learn; weights are float32.",
 )
 @click.option("--validate-every", type=int, default=2_000, show_default=True, help="Updates between two validations.")
-@click.option("--validation-steps", type=int, default=1_000, show_default=True)
+@click.option("--validation-steps", type=int, default=1_000, show_default=True, help="Steps scored in a validation.")
 @click.option("--width", type=int, default=64, show_default=True, help="Channels of the widest layers.")
 @click.option("--scene-stride", type=int, default=4, show_default=True, help="4 or 2: pixels in a cell of the scene.")
 @click.option("--ee-stride", type=int, default=4, show_default=True, help="4 or 2: pixels in a cell of the kernel.")
-@click.option("--up-align-corners/--no-up-align-corners", default=True, show_default=True)
-@click.option("--correlation-scale", type=click.Choice(["none", "cells"]), default="none", show_default=True)
+@click.option("--up-align-corners/--no-up-align-corners", default=True, show_default=True, help="Of the upsampling.")
+@click.option(
+    "--correlation-scale",
+    type=click.Choice(["none", "cells"]),
+    default="none",
+    show_default=True,
+    help="Divide the cross-convolution by the cells of its kernel.",
+)
 @click.option("--pictures", type=click.Path(path_type=Path), metavar="FILE.png", help="Draw maps of validation steps.")
 @device_option
 @click.option("--deterministic", is_flag=True, help="Refuse operations that may differ between two runs.")

@@ -24,8 +24,8 @@ __all__ = ["diff"]
 def diff(ctx: click.Context, a: str, b: str, as_json: bool) -> None:
     """Compare release A with release B: blocks, rows and columns; exit code 6 where they differ.
 
-    A and B are names or folders. Blocks with the same bytes are equal and not read. Only a different description is no
-    difference.
+    A and B are names or folders. Blocks with the same bytes are equal and not read. Releases that
+    differ only in their description are equal.
     """
     from evaluator.cli.progress import StderrProgress
     from rema_data.diff import diff_releases

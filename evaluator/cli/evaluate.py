@@ -17,14 +17,20 @@ __all__ = ["evaluate"]
 @click.command()
 @click.argument("policy")
 @click.option("--task", required=True, type=click.Choice(list(TASKS)), help="What has to be done.")
-@click.option("--episodes", type=click.IntRange(min=1), help="First N scenarios.  [default: 10000; fresh 2000]")
+@click.option("--episodes", type=click.IntRange(min=1), help="First N scenarios.  [default: all; of a fresh list 2000]")
 @click.option("--suite", metavar="hard-v1", help="Play a generalisation suite in place of the clean scenarios.")
 @click.option("--fresh", type=int, metavar="SEED", help="Draw a list from a seed, and play it: see docs/evaluate.md.")
 @policy_options
 @engine_options
 @click.option("--shard", metavar="I/N", help="Play this shard of the scenarios; `rema merge` merges them.")
-@click.option("--protocol", type=click.Choice([*PROTOCOLS, *BLANKED]), default="conditional", show_default=True)
-@click.option("--split", type=click.Choice(["test", "val"]), default="test", show_default=True)
+@click.option(
+    "--protocol",
+    type=click.Choice([*PROTOCOLS, *BLANKED]),
+    default="conditional",
+    show_default=True,
+    help="Steps that are played, and what is shown.",
+)
+@click.option("--split", type=click.Choice(["test", "val"]), default="test", show_default=True, help="Scenario list.")
 @click.option("--output", type=click.Path(path_type=Path), help="Run folder.  [default: runs/POLICY-TASK-PROTOCOL]")
 @click.option("--batch-size", type=click.IntRange(1, 4096), default=64, show_default=True, help="Observations a call.")
 @click.option(

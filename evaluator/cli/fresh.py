@@ -13,7 +13,7 @@ __all__ = ["fresh"]
 
 @click.group()
 def fresh() -> None:
-    """Evaluate on scenarios that nobody can have seen: commit to a secret seed, and publish it afterwards.
+    """Evaluate on scenarios that no policy can have seen: commit to a secret seed, and publish it afterwards.
 
     An organiser publishes the sha256 of `rema fresh commit`, collects policies, scores them with `rema evaluate
     --fresh SEED`, and publishes the seed. Everybody can check it with `rema fresh reveal`, and score again.

@@ -1,8 +1,8 @@
 """The ``rema`` command: finds a verb, and turns errors into a sentence and an exit code.
 
-Exit codes: 0 ok, 1 bug (of ``rema diff``: the releases differ), 2 usage or bad input, 3 submission invalid, 4 policy
-failed on too many episodes, 5 infrastructure errors above the limit, 6 verification mismatch, 130, 143 or 129
-interrupted by SIGINT, SIGTERM or SIGHUP (run the same command again).
+Exit codes: 0 ok, 1 bug, 2 usage or bad input, 3 submission invalid, 4 policy failed on too many episodes, 5
+infrastructure errors above the limit, 6 verification mismatch, 130, 143 or 129 interrupted by SIGINT, SIGTERM or SIGHUP
+(run the same command again).
 """
 
 from __future__ import annotations

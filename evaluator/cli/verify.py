@@ -23,7 +23,7 @@ _FIXES = 10
 @click.command()
 @release_argument
 @block_options
-@click.option("--repair", is_flag=True, help="Fetch damaged files of a download again; may have --source.")
+@click.option("--repair", is_flag=True, help="Fetch damaged files of a download again, from --source first if given.")
 @sources_option
 @json_option
 @click.pass_context

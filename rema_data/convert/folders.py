@@ -60,7 +60,7 @@ _OBS = ((SCENE_PIXELS, SCENE_PIXELS, 1), (EE_PIXELS, EE_PIXELS, 4))
 
 @dataclass(frozen=True, slots=True)
 class NewDataset:
-    """A data set that is being written."""
+    """A dataset that is being written."""
 
     folder: Path
     release: ReleaseFolder
@@ -70,7 +70,7 @@ class NewDataset:
 
     @property
     def task(self) -> str:
-        """The task, where there is one data set a task."""
+        """The task, where there is one dataset a task."""
         return self.blocks[0].task
 
     def pieces(self, block: BlockEntry) -> Iterator[Piece]:
@@ -82,7 +82,7 @@ class NewDataset:
 
 
 class FolderFormat(ABC):
-    """A format of sealed folders. A subclass says how a data set is written, and how its maps are read."""
+    """A format of sealed folders. A subclass says how a dataset is written, and how its maps are read."""
 
     name: ClassVar[str]
     version: ClassVar[int] = 1
@@ -90,7 +90,7 @@ class FolderFormat(ABC):
 
     @abstractmethod
     def write(self, dataset: NewDataset) -> None:
-        """Write a data set into its empty folder; OSError where the disk refuses."""
+        """Write a dataset into its empty folder; OSError where the disk refuses."""
 
     @abstractmethod
     def observations(self, dataset: SealedFolder, number: int, steps: int) -> Iterable[Observations]:
@@ -100,7 +100,7 @@ class FolderFormat(ABC):
         """
 
     def folder(self, manifest: Manifest, task: str) -> str:
-        """Name of the folder of a task of a release; blocks whose folder is the same are one data set."""
+        """Name of the folder of a task of a release; blocks whose folder is the same are one dataset."""
         return task
 
     def check_options(self, options: ExportOptions) -> None:
@@ -192,7 +192,7 @@ def _are_of(maps: EncodedMaps, scenes: Array, end_effectors: Array, chosen: Maps
 
 
 class _FolderSource:
-    """The data sets of one export."""
+    """The datasets of one export."""
 
     def __init__(self, format: FolderFormat, datasets: Sequence[SealedFolder]) -> None:
         first = datasets[0]

@@ -1,6 +1,6 @@
 """Parts of an HDF5 file that somebody else may have written: nothing outside of the file, and nothing that explodes.
 
-HDF5 can place an array into any other file (links, external storage, virtual data sets), and a few stored bytes can
+HDF5 can place an array into any other file (links, external storage, virtual datasets), and a few stored bytes can
 stand for any number of them. Every part is looked at before it is read.
 """
 
@@ -87,7 +87,7 @@ def dataset(parent: h5py.Group, path: str) -> h5py.Dataset:
         file = properties.get_external(0)[0].decode(errors="replace")
         raise _refusal(parent, path, f"keeps its content in the file {file!r}: an import reads no other file")
     if properties.get_layout() == h5py.h5d.VIRTUAL:
-        raise _refusal(parent, path, "is a virtual data set, made of other files: an import reads no other file")
+        raise _refusal(parent, path, "is a virtual dataset, made of other files: an import reads no other file")
     if found.dtype.hasobject:
         raise _refusal(parent, path, "holds values of variable length")
     room = _ANYWAY_BYTES + _MOST_PACKED * found.id.get_storage_size()

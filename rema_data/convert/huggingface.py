@@ -1,4 +1,4 @@
-"""Parquet that ``datasets.load_dataset`` opens: the release as one data set, a configuration a task, a row a step.
+"""Parquet that ``datasets.load_dataset`` opens: the release as one dataset, a configuration a task, a row a step.
 
 ::
 
@@ -52,7 +52,7 @@ def _columns(version: int) -> tuple[list[Column], list[Column]]:
 
 
 def steps_path(key: BlockKey) -> str:
-    """Where the steps of a block lie in the folder of the data set."""
+    """Where the steps of a block lie in the folder of the dataset."""
     return f"{key.task}/{key.split}-round-{key.round}.parquet"
 
 

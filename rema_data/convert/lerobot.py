@@ -1,4 +1,4 @@
-"""LeRobot v3: one data set a task, one frame a step.
+"""LeRobot v3: one dataset a task, one frame a step.
 
 ::
 

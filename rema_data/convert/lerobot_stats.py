@@ -25,7 +25,7 @@ _VALUES = 1 << 15
 
 
 class PlaneCounts:
-    """How often each value occurs in each plane of the maps of a data set."""
+    """How often each value occurs in each plane of the maps of a dataset."""
 
     def __init__(self, planes: int) -> None:
         self._counts = np.zeros((planes, _VALUES), np.int64)

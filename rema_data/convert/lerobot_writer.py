@@ -1,4 +1,4 @@
-"""Writes blocks of one task as a LeRobot data set; see ``lerobot`` for the layout."""
+"""Writes blocks of one task as a LeRobot dataset; see ``lerobot`` for the layout."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ _EPISODE = ("round", "split", "episode", "seed", "success", "failure", "failed_s
 """Columns of ``episodes.parquet`` that ``meta/episodes`` has too, where the release has them."""
 _CHUNK_FILES = 1000
 _FILE_MB, _VIDEO_MB = 100, 200
-"""LeRobot's own defaults, for what is appended to the data set."""
+"""LeRobot's own defaults, for what is appended to the dataset."""
 
 
 def write_dataset(dataset: NewDataset) -> None:
-    """Write all files of a data set; OSError where the disk refuses."""
+    """Write all files of a dataset; OSError where the disk refuses."""
     _Writer(dataset).write()
 
 

@@ -1,4 +1,4 @@
-"""Minari: one data set a task, whose environment is that of ``evaluator.gym``.
+"""Minari: one dataset a task, whose environment is that of ``evaluator.gym``.
 
 ::
 

@@ -1,4 +1,4 @@
-"""Writes blocks of one task as a Minari data set; see ``minari`` for the layout.
+"""Writes blocks of one task as a Minari dataset; see ``minari`` for the layout.
 
 A map is compressed once and stored as it is wherever it occurs: most hands are bare, and the last observation of an
 episode is there twice. HDF5 is called below h5py, which needs longer for an episode than for its maps.
@@ -70,7 +70,7 @@ def scenario_name(row: dict[str, Any]) -> str:
 
 
 def dataset_name(task: str) -> str:
-    """Name of a data set, with the version that Minari wants in it."""
+    """Name of a dataset, with the version that Minari wants in it."""
     return f"{task}-v1"
 
 

@@ -12,7 +12,7 @@ from rema_data.store.columns import EPISODE_COLUMNS, VARIATION, columns_at
 __all__ = ["EPISODE_VALUES", "MAPS", "VERSION", "episode_texts", "features"]
 
 VERSION = "1.0.0"
-"""Of the data set, for TensorFlow Datasets."""
+"""Of the dataset, for TensorFlow Datasets."""
 MAPS = {"scene": (SCENE_PIXELS, SCENE_PIXELS, 1), "end_effector": (EE_PIXELS, EE_PIXELS, 4)}
 _EPISODE_TEXTS = ("split", "seed", "failure", VARIATION)
 """Columns of ``episodes.parquet`` in ``episode_metadata`` as text; a root seed may be too large for an int64."""

@@ -2,7 +2,7 @@
 
 ::
 
-    grasp/                                  a data set, in the layout of its format
+    grasp/                                  a dataset, in the layout of its format
         ...
         rema/
             export.json                     written last

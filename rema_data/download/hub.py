@@ -26,9 +26,9 @@ _TOKEN = re.compile("[!-~]+")
 
 
 class HubFolder:
-    """A folder of releases in a data set of the hub. Threads share it.
+    """A folder of releases in a dataset of the hub. Threads share it.
 
-    ``name`` is that of its innermost folder. Raises ValueError where the URL is not that of a data set.
+    ``name`` is that of its innermost folder. Raises ValueError where the URL is not that of a dataset.
     """
 
     def __init__(self, url: str) -> None:

@@ -18,7 +18,7 @@ _TOKEN = re.compile("hf_[A-Za-z0-9]{8}")
 
 
 def hub_address(url: str) -> re.Match[str] | None:
-    """The parts of the URL of a data set on the Hugging Face Hub, or of a folder in it; None for other URLs."""
+    """The parts of the URL of a dataset on the Hugging Face Hub, or of a folder in it; None for other URLs."""
     return None if _TOKEN.search(url) else _HUB.fullmatch(url)
 
 

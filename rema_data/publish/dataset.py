@@ -1,4 +1,4 @@
-"""A release as a folder for a data set repository: a source of ``rema download``, and what ``rema verify`` checks.
+"""A release as a folder for a dataset repository: a source of ``rema download``, and what ``rema verify`` checks.
 
 ::
 

@@ -220,7 +220,7 @@ def test_every_verb_in_a_pipe(
     arguments, expected = VERB_CASES[verb]
     result = rema(verb, arguments)
     assert isinstance(result.exception, SystemExit | None), result.exception
-    assert result.exit_code == {"verify": 6, "check": 3, "diff": 1}.get(verb, 0), result.output
+    assert result.exit_code == {"verify": 6, "check": 3, "diff": 6}.get(verb, 0), result.output
     assert "\x1b" not in result.output
     text = result.stdout + result.stderr
     for words in expected:

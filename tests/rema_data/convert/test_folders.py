@@ -35,7 +35,7 @@ def exports(release: ReleaseFolder, tmp_path_factory: pytest.TempPathFactory) ->
 
 @pytest.fixture(params=FOLDERS)
 def dataset(request: pytest.FixtureRequest, exports: Path, tmp_path: Path) -> Path:
-    """A data set that may be damaged; its parent is the export, and the parent's name the format."""
+    """A dataset that may be damaged; its parent is the export, and the parent's name the format."""
     (folder,) = shutil.copytree(exports / request.param, tmp_path / request.param).iterdir()
     return folder
 

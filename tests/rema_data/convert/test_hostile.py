@@ -74,7 +74,7 @@ OUTSIDE = {
     "external storage of the manifest": (external_storage("rema/manifest"), r"secret\.bin.*reads no other file"),
     "external storage of the card": (external_storage("rema/card/0"), r"secret\.bin.*reads no other file"),
     "external storage of an action": (external_storage("data/demo_0/actions"), r"secret\.bin.*reads no other file"),
-    "virtual map": (virtual(SCENE), "virtual data set"),
+    "virtual map": (virtual(SCENE), "virtual dataset"),
     "external link to a map": (link(SCENE, None), r"link to the file '.*secret\.hdf5'"),
     "external link to a demo": (link("data/demo_0", None), r"link to the file '.*secret\.hdf5'"),
     "external link to all demos": (link("data", None), r"link to the file '.*secret\.hdf5'"),

@@ -1,4 +1,4 @@
-"""The files of a LeRobot data set, without LeRobot; what its own reader sees: benchmarks/lerobot_reader.py."""
+"""The files of a LeRobot dataset, without LeRobot; what its own reader sees: benchmarks/lerobot_reader.py."""
 
 from __future__ import annotations
 

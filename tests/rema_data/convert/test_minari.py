@@ -1,4 +1,4 @@
-"""A Minari data set and its environment; Minari's own reader: benchmarks/minari_reader.py."""
+"""A Minari dataset and its environment; Minari's own reader: benchmarks/minari_reader.py."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def store(tiny: Mirrored) -> Iterator[FaultyServer]:
 
 @pytest.fixture
 def hub(tiny: Mirrored, store: FaultyServer, monkeypatch: pytest.MonkeyPatch) -> Iterator[Web]:
-    """A hub with one data set, of which ``main`` and ``refs/pr/1`` hold the release."""
+    """A hub with one dataset, of which ``main`` and ``refs/pr/1`` hold the release."""
     yield from _hub(tiny, store, monkeypatch, lambda headers: None)
 
 

@@ -57,7 +57,8 @@ def _denied(name: str, host: PolicyHost) -> Verdict:
     answers = host.act(make_batch(2))
     most = max(map(successes, answers))
     whole = len(answers) == 2 and min(map(successes, answers)) >= 0
-    return Verdict(whole and most <= every.POLICIES[name].harmless, whole, f"{most} of its tries succeeded")
+    gained = max(0, most - every.POLICIES[name].harmless)
+    return Verdict(whole and not gained, whole, f"{gained} of its tries gained anything")
 
 
 def _fault(name: str, host: PolicyHost) -> Verdict:
