@@ -13,6 +13,7 @@ from typing import Any
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from evaluator.sim.bullet import bullet_version
 
@@ -116,8 +117,8 @@ def target(what: str, wanted: str, measured: str, reached: bool) -> dict[str, An
 
 
 def as_rows(table: Table) -> dict[str, Any]:
-    """Title, header and cells of a table, as strings."""
-    columns = [[str(cell) for cell in column.cells] for column in table.columns]
+    """Title, header and cells of a table, as strings without markup."""
+    columns = [[Text.from_markup(str(cell)).plain for cell in column.cells] for column in table.columns]
     header = [str(column.header) for column in table.columns]
     return {
         "title": str(table.title or ""),

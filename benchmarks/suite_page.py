@@ -78,8 +78,8 @@ targets are 30 mm high and posts, which are not to be touched, 60 mm. `mixed` is
 
 ## The score
 
-An axis is the mean of its levels, `hard` the mean of its axes. Where a scenario lacks there is no mean, never that of
-what happens to be there. Policies are ranked by `hard` itself; beside it stand the clean rate, the share of it that is
+An axis is the mean of its levels, `hard` the mean of its axes. If a scenario has no result, no mean is
+shown. Policies are ranked by `hard` itself; beside it stand the clean rate, the share of it that is
 kept, and the worst axis. Ranking by the kept share would reward weak policies. Intervals are those of a bootstrap over
 clean scenarios (10,000 times), since levels share them. Two policies share a letter where their difference, over the
 same draws, is not significant after Holm's adjustment for all pairs of the suite.
@@ -113,7 +113,7 @@ release that it always made. [dataset.md](dataset.md#varied-episodes) says how a
 
 `rema rounds manifests/plans/rema-v1-hard.toml` continues rema-v1 with 22,000 such episodes, and trains the networks
 `robust/grasp` and `robust/push` on both. A policy that has learned from varied scenes is an adapted one: say so where
-you report it, and compare it with others of its kind.
+you report it, and compare it with others of its kind. Neither this release nor its networks come with rema.
 """
 
 
