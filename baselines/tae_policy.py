@@ -48,11 +48,9 @@ class TaePolicy:
         self._by_skill: dict[str, Scorer] = {}
         self._by_primitive: dict[str, Scorer] = {}
         self._folder = checkpoint
-        self.adapted = False  # as in ``evaluator.policy.wire.TAGS``
         for path in networks_in(checkpoint).values():
             network, about = load_checkpoint(path)
             scorer = Scorer(network, device)
-            self.adapted |= about.varied
             self._by_skill.update(dict.fromkeys(about.skills, scorer))
             self._by_primitive.setdefault(about.primitive, scorer)
 

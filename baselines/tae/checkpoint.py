@@ -16,18 +16,14 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import (
-    Any,
-    Literal,
-    NotRequired,  # pydantic needs these before Python 3.12
-)
+from typing import Any, Literal
 
 import pydantic
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
-from typing_extensions import TypedDict
+from typing_extensions import TypedDict  # pydantic needs this one before Python 3.12
 
 from baselines.tae.network import Architecture, TaeNetwork
 from evaluator.policy.load_errors import conversion_command
@@ -70,8 +66,6 @@ class Checkpoint:
         Of the file of weights; filled in by ``save_checkpoint``.
     dtype : str
         How the weights are stored: ``float32`` or ``float16``.
-    varied : bool
-        Whether the data has episodes in which something was changed, as in a generalisation suite. Stored if it has.
     """
 
     primitive: str
@@ -85,12 +79,10 @@ class Checkpoint:
     commit: str = ""
     sha256: str = ""
     dtype: str = "float32"
-    varied: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, ready for JSON."""
-        values = {"format": FORMAT, **asdict(self), "skills": list(self.skills)}
-        return {key: value for key, value in values.items() if key != "varied" or value}
+        return {"format": FORMAT, **asdict(self), "skills": list(self.skills)}
 
 
 def save_checkpoint(folder: Path, name: str, weights: Mapping[str, Tensor], about: Checkpoint) -> Checkpoint:
@@ -205,9 +197,9 @@ def _read_card(path: Path) -> Checkpoint:
         )
     names = {item.name for item in fields(Checkpoint)}
     values = {key: value for key, value in content.items() if key != "format"}
-    if set(values) | {"varied"} != names:
+    if set(values) != names:
         raise InputError(
-            f"{path} has other fields than {FORMAT!r}: {', '.join(sorted((set(values) | {'varied'}) ^ names))}",
+            f"{path} has other fields than {FORMAT!r}: {', '.join(sorted(set(values) ^ names))}",
             hint="install the version of rema that made it",
             path=str(path),
         )
@@ -234,7 +226,6 @@ class _Card(TypedDict):
     commit: str
     sha256: str
     dtype: Literal["float32", "float16"]
-    varied: NotRequired[bool]
 
 
 def _values(about: Checkpoint) -> dict[str, Any]:

@@ -27,7 +27,6 @@ from rema_data import interrupts
 from rema_data.augment import Augment
 from rema_data.loader.release import Release
 from rema_data.progress import Progress, Silent
-from rema_data.release.datasheet import has_varied
 from rema_data.storage import write_atomic
 from rema_data.validation import plain
 
@@ -270,7 +269,6 @@ class _Training:
             metrics={key: value for key, value in self.best.items() if key != "update"},
             updates=self.best["update"],
             commit=f"{commit['commit'] or ''}{'+' if commit['dirty'] else ''}",
-            varied=has_varied(self.release.manifest),
         )
         return save_checkpoint(folder, self.name, self.best_weights, about)
 

@@ -111,7 +111,7 @@ def _load(order: dict[str, Any]) -> tuple[Any, dict[str, bool]]:
         raise CannotLoad(f"class {order['class_name']} of {path.name} has no method act(observations)")
     checkpoint = None if order["checkpoint"] is None else Path(order["checkpoint"])
     policy = kind(checkpoint, order["device"])
-    return policy, {tag: getattr(policy, tag, False) is True for tag in TAGS}
+    return policy, {tag: getattr(kind, tag, False) is True for tag in TAGS}
 
 
 def _answer(

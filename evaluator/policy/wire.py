@@ -44,7 +44,7 @@ MAX_HEADER = 16 << 20
 REPLIES = {"act": "acted", "maps": "mapped"}
 """Questions about a batch, and the replies to them."""
 TAGS = ("privileged", "simulator", "adapted")
-"""What a policy, or its class, says of itself: that it is shown the ground truth; that it carries a simulator; that it
+"""What the class of a policy says of itself: that it is shown the ground truth; that it carries a simulator; that it
 was trained on situations that were changed as those of a suite are."""
 _STEP = ("primitive", "embodiment", "task", "step")
 """What a question says of its step."""

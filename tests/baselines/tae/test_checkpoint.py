@@ -12,7 +12,6 @@ import torch
 
 from baselines.tae.checkpoint import Checkpoint, load_checkpoint, networks_in, save_checkpoint
 from baselines.tae.network import Architecture, TaeNetwork
-from evaluator.policy import PolicyHost, resolve
 from rema_data.errors import InputError, IntegrityError, MissingFileError
 
 SMALL = Architecture(width=8)
@@ -46,16 +45,6 @@ def test_half_precision_costs_little(tmp_path: Path) -> None:
     for name, tensor in back.state_dict().items():
         assert tensor.dtype == network.state_dict()[name].dtype
         torch.testing.assert_close(tensor, network.state_dict()[name], atol=1e-3, rtol=1e-3)
-
-
-def test_a_policy_is_adapted_as_the_data_of_one_of_its_networks(tmp_path: Path) -> None:
-    for name, varied in (("push", False), ("grasp", True)):
-        network = TaeNetwork(SMALL, torch.Generator().manual_seed(0))
-        save_checkpoint(tmp_path, name, network.state_dict(), about(primitive=name, varied=varied))
-        assert ("varied" in json.loads((tmp_path / f"{name}.json").read_text())) is varied
-        assert load_checkpoint(tmp_path / name)[1].varied is varied
-        with PolicyHost(resolve("tae"), tmp_path, "cpu") as host:
-            assert host.adapted is varied
 
 
 @pytest.mark.parametrize("keep", [0, 100, -1])
