@@ -8,6 +8,7 @@ from pathlib import Path
 from baselines.publish.model_card import model_card, rate_table
 from baselines.tae.checkpoint import CARD, WEIGHTS, networks_in
 from evaluator.leaderboard import leaderboard
+from evaluator.leaderboard.naming import installed_digest
 from evaluator.policy.named import find_named
 from evaluator.policy.shipped import shipped_checkpoint, shipped_policies
 from evaluator.run.entry import find_entries
@@ -53,7 +54,11 @@ def publish_networks(what: str, target: Path, licence: str = "") -> Published:
         named, licence = find_named(what), _LICENCE
         title, about = what, "" if named is None else named.description
         others = shipped_policies()[what].tasks  # other networks play these
-        rows = [row for row in leaderboard(find_entries(), published=False).rows if row.task not in others]
+        rows = [
+            row
+            for row in leaderboard(find_entries(), published=False).rows
+            if row.task not in others and row.policy_digest == installed_digest(what, row.task)
+        ]
         rates = rate_table(what, rows)
     networks = networks_in(place)
     with interrupts.held(), publication(target) as folder:

@@ -10,8 +10,8 @@ from evaluator.run.run import Run
 
 __all__ = ["blank_rates", "blank_remarks"]
 
-Key = tuple[str, str]
-"""Task, and digest of the policy."""
+Key = tuple[str, str, str]
+"""What is equal in runs of one policy."""
 
 
 def blank_rates(runs: Sequence[Run]) -> dict[Key, dict[str, float]]:
@@ -19,7 +19,7 @@ def blank_rates(runs: Sequence[Run]) -> dict[Key, dict[str, float]]:
     found: dict[Key, dict[str, float]] = {}
     for run in runs:
         if not obstacles(run) and run.counts.rate is not None:
-            found.setdefault((run.task, run.provenance.policy_digest), {})[run.protocol] = run.counts.rate
+            found.setdefault(run.same_policy, {}).setdefault(run.protocol, run.counts.rate)
     return found
 
 
@@ -32,7 +32,7 @@ def blank_remarks(runs: Sequence[Run], shown: set[Key]) -> Iterator[str]:
         )
     for run in runs:
         reason = next((one.reason for one in obstacles(run)), "")
-        if not reason and (run.task, run.provenance.policy_digest) not in shown:
+        if not reason and run.same_policy not in shown:
             reason = "its policy has no conditional row"
         if reason:
             yield f"{run.policy} ({run.task}, {run.protocol}) is not shown: {reason}."

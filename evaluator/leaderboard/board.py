@@ -7,14 +7,15 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from evaluator.leaderboard.blank import blank_rates, blank_remarks
 from evaluator.leaderboard.copies import in_order, once
-from evaluator.leaderboard.fresh import fresh_counts, fresh_gap
+from evaluator.leaderboard.fresh import fresh_counts, fresh_gaps
 from evaluator.leaderboard.naming import PUBLISHED
 from evaluator.leaderboard.ranking import LEVEL, Pair, rank_runs
 from evaluator.leaderboard.row import Row, published_rows, row_of
-from evaluator.leaderboard.suites import SuiteRow, suite_rows
+from evaluator.leaderboard.suites import BOARD_SUITE, SuiteRow, suite_rows
 from evaluator.leaderboard.verification import NOT_SIMULATED, known, records, verify
 from evaluator.protocol import BLANKED
 from evaluator.rollout.backend import Backend
@@ -77,38 +78,34 @@ def leaderboard(
     blank = [run for run in clean if run.protocol in BLANKED]
     fresh = fresh_counts([run for run in everything if run.fresh])
     standings, pairs = rank_runs(runs)
-    conditional = {_policy(run): run.counts.rate for run in runs if run.has_counts and not run.end_to_end}
-    hardened = suite_rows([run for run in everything if run.suite], conditional)
-    hard = {(row.task, row.policy_digest): row.score.hard for row in reversed(hardened) if not row.unranked}
+    # Beside a row stands only what would have a rank of its own; of several such runs the first.
+    rates: dict[bool, dict[tuple[str, str, str], float | None]] = {False: {}, True: {}}  # by ``end_to_end``
+    for run, standing in zip(runs, standings, strict=True):
+        if not standing.unranked:
+            rates[run.end_to_end].setdefault(run.same_policy, run.counts.rate)
+    hardened = suite_rows([run for run in everything if run.suite], rates[False])
+    hard = {row.same_policy: row for row in reversed(hardened) if not row.unranked and row.suite == BOARD_SUITE}
     blanked = blank_rates(blank)
-    whole = {
-        _policy(run): run.counts.rate
-        for run, standing in zip(runs, standings, strict=True)
-        if run.end_to_end and not standing.unranked
-    }
-    rows = [
-        row_of(
-            run,
-            **asdict(standing),
-            end_to_end=None if run.end_to_end else whole.get(_policy(run)),
-            hard=None if run.end_to_end else hard.get(_policy(run)),
-            fresh=fresh_gap(run, fresh),
-            blank=None if run.end_to_end else blanked.get(_policy(run)),
-        )
-        for run, standing in zip(runs, standings, strict=True)
-    ]
+    rows = []
+    for run, standing, gap in zip(runs, standings, fresh_gaps(runs, fresh), strict=True):
+        beside: dict[str, Any] = {}
+        if not run.end_to_end:
+            beside = {"end_to_end": rates[True].get(run.same_policy), "blank": blanked.get(run.same_policy)}
+            if (found := hard.get(run.same_policy)) is not None:
+                beside |= {"hard": found.score.hard, "adapted": found.adapted}
+        rows.append(row_of(run, **asdict(standing), fresh=gap, **beside))
     if published:
         tasks = {row.task for row in rows} or set(TASKS)
         rows += [row for row in published_rows() if row.task in tasks]
     rows.sort(key=_place)
-    beside = {_policy(run) for run in runs if not run.end_to_end}
+    conditional = {run.same_policy for run in runs if not run.end_to_end}
     left_out = [f"LEFT OUT: {error.message} ({error.hint})" for error in refused]
     shown_once = [
-        f"{copy.policy} ({copy.source}) has the actions of {first.policy} and is shown as that one."
+        f"{copy.policy} ({copy.source.name}) has the actions of {first.policy} and is shown as that one."
         for copy, first in copies
         if (copy.policy, copy.provenance.policy_digest) != (first.policy, first.provenance.policy_digest)
     ]
-    remarks = (*left_out, *shown_once, *_remarks(rows, pairs), *blank_remarks(blank, beside))
+    remarks = (*left_out, *shown_once, *_remarks(rows, pairs), *blank_remarks(blank, conditional))
     return Board(tuple(rows), remarks, refused, tuple(hardened))
 
 
@@ -131,10 +128,6 @@ def _read(
 def find_runs(folder: Path) -> list[Path]:
     """Run folders below ``folder`` that have a summary, sorted."""
     return sorted(path.parent for path in folder.glob("*/summary.json"))
-
-
-def _policy(run: Run) -> tuple[str, str]:
-    return run.task, run.provenance.policy_digest or str(run.source)
 
 
 def _place(row: Row) -> tuple[object, ...]:
@@ -191,8 +184,8 @@ def _remarks(rows: Sequence[Row], pairs: Sequence[Pair]) -> Iterator[str]:
                 "simulator: a part of their difference may be the simulator's."
             )
     for row in rows:
-        if row.fresh is not None and row.fresh[1] > 0:
-            gap, low, high = (f"{100 * end:.1f}" for end in row.fresh)
+        if row.fresh is not None and row.fresh.falls:
+            gap, low, high = (f"{100 * end:.1f}" for end in row.fresh[:3])
             yield (
                 f"FRESH: {row.policy} ({row.task}, {row.protocol}) solves fewer fresh scenarios, by {gap} points "
                 f"[{low}, {high}]: what it does on the frozen list does not carry over."

@@ -41,10 +41,18 @@ def rank_checks(run: Run) -> list[Check]:
         Check("scenarios_hash", same_list, sha256, hashes.scenarios_hash, "another scenario list"),
         Check("episodes", episodes == count, str(count), str(episodes), f"{episodes:,} of {count:,} scenarios"),
         Check("protocol_hash", hashes.protocol_hash == ours, ours, hashes.protocol_hash, "another protocol version"),
+        *_suite_checks(run),
         Check("name", not problem, "its own", problem or "ok", problem),
         *(_answers(run.counts) if run.has_counts else ()),
         *(_run_checks(run) if run.kind == "run" else ()),
     ]
+
+
+def _suite_checks(run: Run) -> Iterator[Check]:
+    """A suite changes the last step, as the conditional protocol plays it; another one is not its score."""
+    if run.suite:
+        played = run.protocol
+        yield Check("protocol", played == "conditional", "conditional", played, f"a suite is not played {played}")
 
 
 def _answers(counts: Counts) -> Iterator[Check]:

@@ -12,7 +12,7 @@ from itertools import groupby
 
 from evaluator.leaderboard import PUBLISHED, Board, Row, apart
 from evaluator.leaderboard.escape import one_line, to_csv, to_latex, to_markdown, web_link
-from evaluator.leaderboard.suites import SuiteRow
+from evaluator.leaderboard.suites import BOARD_SUITE, SuiteRow
 from evaluator.protocol import BLANKED
 from evaluator.statistics import format_interval, percent
 from rema_data.schema import TASKS
@@ -71,7 +71,7 @@ def cells(row: Row) -> tuple[str, ...]:
         row.ties,
         "" if row.end_to_end is None else percent(row.end_to_end),
         "" if row.hard is None else percent(row.hard) + (" adapted" if row.adapted else ""),
-        "" if row.fresh is None else "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(100 * end for end in row.fresh)),
+        "" if row.fresh is None else "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(100 * end for end in row.fresh[:3])),
         *(percent(row.blank[name]) if row.blank and name in row.blank else "" for name in BLANKED),
         _funnel(row),
         "" if row.z is None else f"{row.z:+.1f}",
@@ -135,7 +135,8 @@ def matrix(board: Board, protocol: str) -> tuple[list[str], list[list[str]]]:
             number += 1
         lines[key][row.task] = row
     order = sorted(lines, key=lambda key: (key[0], -max(row.rate or 0.0 for row in lines[key].values()), key))
-    hardened = {(row.task, row.policy_digest): row for row in reversed(board.suites) if not row.unranked}
+    ranked = [row for row in board.suites if not row.unranked and row.suite == BOARD_SUITE]
+    hardened = {row.same_policy: row for row in reversed(ranked)}
     hard = [task for task in tasks if any(row.task == task and row.hard is not None for row in shown)]
     header, made = ["policy", "kind"], []
     for task in tasks:
@@ -149,7 +150,7 @@ def matrix(board: Board, protocol: str) -> tuple[list[str], list[list[str]]]:
             scored = lines[key].get(task)
             line.append("" if scored is None else _short(scored))
             if task in hard:
-                found = None if scored is None or scored.hard is None else hardened.get((task, scored.policy_digest))
+                found = None if scored is None or scored.hard is None else hardened.get(scored.same_policy)
                 line.append("-" if found is None else _short_hard(found))
         made.append(line)
     return header, made

@@ -6,6 +6,7 @@ import json
 from dataclasses import dataclass
 from typing import Any
 
+from evaluator.leaderboard.fresh import FreshGap
 from evaluator.leaderboard.naming import PUBLISHED, TAGS
 from evaluator.leaderboard.published import published_rate, published_table
 from evaluator.run.audit import Audit
@@ -41,10 +42,9 @@ class Row:
     unranked: str = ""
     verified: str = ""  # as in ``Run``; empty if its actions were not simulated, and for published rows
     end_to_end: float | None = None  # rate over the whole task, on conditional rows of tasks of several steps
-    # clean rate minus that over fresh scenarios of the same policy, and its 95 % interval, on conditional rows
-    fresh: tuple[float, float, float] | None = None
-    adapted: bool = False  # as in ``Run``: it says how ``hard`` was reached
-    hard: float | None = None  # of the same policy over a generalisation suite, on conditional rows
+    fresh: FreshGap | None = None  # to the rate of the same policy over fresh scenarios
+    adapted: bool = False  # as in ``Run``; where there is ``hard``, it says how that was reached
+    hard: float | None = None  # of the same policy over the suite of the board, on conditional rows
     # rates of the same policy where a part of the maps is blanked, by protocol, on conditional rows
     blank: dict[str, float] | None = None
     z: float | None = None  # distance to the published rate of the same policy and task, in standard errors
@@ -55,6 +55,11 @@ class Row:
     source: str = ""
     link: str = ""
     isolation: str = ""
+
+    @property
+    def same_policy(self) -> tuple[str, str, str]:
+        """As in ``Run``."""
+        return self.task, self.policy, self.policy_digest or self.source
 
 
 def row_of(run: Run, **standing: Any) -> Row:

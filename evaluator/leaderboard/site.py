@@ -41,9 +41,10 @@ def write_site(board: Board, target: Path) -> int:
     Raises RunMismatchError where it holds something, and StorageError where the disk is full or may not be written;
     nothing is left then.
     """
-    # Where a run lies on this machine is nobody's business.
+    # Where a run lies on this machine, and what else lies there, is nobody's business.
     board = replace(
         board,
+        remarks=board.remarks[len(board.refused) :],
         rows=tuple(replace(row, source=Path(row.source).name) for row in board.rows),
         suites=tuple(replace(row, source=Path(row.source).name) for row in board.suites),
     )

@@ -13,14 +13,19 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from scipy.stats import norm
 
+from evaluator.leaderboard.copies import near_copies
 from evaluator.leaderboard.eligibility import obstacles
 from evaluator.leaderboard.ranking import LEVEL
 from evaluator.run.cells import RESAMPLES, SuiteScore, score_of, solved
 from evaluator.run.run import Run
 from evaluator.statistics import holm, tie_letters
 
-__all__ = ["SuiteRow", "suite_rows"]
+__all__ = ["BOARD_SUITE", "SuiteRow", "suite_rows"]
+
+BOARD_SUITE = "hard-v1"
+"""The suite whose score stands beside the clean rates."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,20 +47,31 @@ class SuiteRow:
     source: str
 
     @property
+    def same_policy(self) -> tuple[str, str, str]:
+        """As in ``Run``."""
+        return self.task, self.policy, self.policy_digest or self.source
+
+    @property
     def retention(self) -> float | None:
         """``hard`` as a share of the clean rate."""
         return None if not self.clean or self.score.hard is None else self.score.hard / self.clean
 
 
-def suite_rows(runs: Sequence[Run], clean: Mapping[tuple[str, str], float | None]) -> list[SuiteRow]:
-    """Rows of the runs over suites, best first; ``clean`` has clean rates by task and digest of the policy.
+def suite_rows(runs: Sequence[Run], clean: Mapping[tuple[str, str, str], float | None]) -> list[SuiteRow]:
+    """Rows of the runs over suites, best first; ``clean`` has clean rates by ``Run.same_policy``.
 
-    An entry whose actions were not simulated has no score, and is left out.
+    An entry whose actions were not simulated has no score, and is left out. A run with almost the actions of an earlier
+    one has no rank, and is in no pair; nor has one that lost a scenario to the infrastructure, and so has no mean.
     """
     known = [run for run in runs if run.suite and run.has_counts]
-    reasons = [next((one.reason for one in obstacles(run)), "") for run in known]
-    ranked = [n for n, reason in enumerate(reasons) if not reason]
     found = [solved(run) for run in known]
+    reasons = [next((one.reason for one in obstacles(run)), "") for run in known]
+    for n, (own, _, _) in enumerate(found):
+        if not reasons[n] and not own.whole:
+            reasons[n] = "scenarios that its mean needs have no result"
+    for n, original in near_copies(known, [n for n, reason in enumerate(reasons) if not reason]).items():
+        reasons[n] = f"almost all of its actions are those of {known[original].policy}"
+    ranked = [n for n, reason in enumerate(reasons) if not reason]
     again = {n: found[n][0].hard_again for n in ranked}
     pairs = [(a, b) for a, b in combinations(ranked, 2) if _group(known[a]) == _group(known[b])]
     adjusted = holm([_p(again[a] - again[b]) for a, b in pairs])
@@ -87,7 +103,7 @@ def suite_rows(runs: Sequence[Run], clean: Mapping[tuple[str, str], float | None
                 run.suite,
                 run.task,
                 scores[n],
-                clean.get((run.task, run.provenance.policy_digest)),
+                clean.get(run.same_policy),
                 1 + len(better) if n in again and run.honest else None,
                 letters.get(n, ""),
                 reasons[n],
@@ -105,6 +121,14 @@ def _group(run: Run) -> tuple[str, str, bool]:
 
 
 def _p(differences: np.ndarray) -> float:
-    """Two-sided p value of a difference of zero, at least 2 in ``RESAMPLES``."""
+    """Two-sided p value of a difference of zero.
+
+    Below the 2 in ``RESAMPLES`` that counting can show, it is that of a normal distribution: with many pairs on the
+    board a floor would make every one of them a tie.
+    """
     below, above = float((differences <= 0).mean()), float((differences >= 0).mean())
-    return min(1.0, max(2 * min(below, above), 2 / RESAMPLES))
+    if min(below, above) > 0:
+        return min(1.0, 2 * min(below, above))
+    spread = float(differences.std())
+    tail = 2 * float(norm.sf(abs(float(differences.mean())) / spread)) if spread else 0.0
+    return min(tail, 2 / RESAMPLES)

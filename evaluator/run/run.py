@@ -99,6 +99,11 @@ class Run:
         return "whole" if self.files is None or self.files.sealed else "unsealed"
 
     @property
+    def same_policy(self) -> tuple[str, str, str]:
+        """What is equal in runs of one policy in one task: the task, its name, and its digest (or where it is)."""
+        return self.task, self.policy, self.provenance.policy_digest or str(self.source)
+
+    @property
     def tag(self) -> str:
         """The kind of an installed policy, or ``submitted``; always ``privileged`` if it saw the ground truth."""
         kind = self.kind_of_policy or kind_of(self.policy)

@@ -13,6 +13,7 @@ from benchmarks.leaderboard import END, PAGE, START, replace_section, section
 from evaluator.cli.main import VERBS, cli
 from evaluator.engines.child import call_in_child
 from evaluator.leaderboard.eligibility import obstacles
+from evaluator.leaderboard.suites import BOARD_SUITE
 from evaluator.leaderboard.verification import known, records, simulated
 from evaluator.protocol import FLIP_LIMIT
 from evaluator.rollout.backend import default_backend
@@ -137,8 +138,8 @@ def test_a_section_has_hard_where_a_policy_was_played_over_a_suite(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     use_installation(tmp_path, monkeypatch)
-    write_suite(tmp_path / "manifests")
-    for name, suite in (("mine", None), ("other", None), ("mine", "tough-v1")):
+    write_suite(tmp_path / "manifests", BOARD_SUITE)
+    for name, suite in (("mine", None), ("other", None), ("mine", "hard-v1")):
         folder = write_run(
             tmp_path / f"{name}-{suite}",
             solved(0.9, 2, 180) if suite else solved(0.8, len(name)),

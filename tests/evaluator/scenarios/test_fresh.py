@@ -5,11 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from evaluator.cli.main import cli
 from evaluator.leaderboard import leaderboard
+from evaluator.leaderboard.fresh import FreshGap, fresh_counts
+from evaluator.leaderboard.verification import known
 from evaluator.run.reading import read_run
 from evaluator.scenarios import load_list
 from evaluator.scenarios.fresh import commitment, draw_fresh, fresh_version, picked_by_policy
@@ -94,6 +97,37 @@ def test_the_board_shows_clean_minus_fresh(tmp_path: Path, monkeypatch: pytest.M
     assert table is not None and table[0] == pytest.approx(0.65, abs=0.1) and table[1] > 0.5
     marked = [text for text in board.remarks if text.startswith("FRESH")]
     assert len(marked) == 1 and "table (grasp, conditional)" in marked[0]
+
+
+def test_whole_fresh_lists_count_and_one_of_a_seed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    use_installation(tmp_path, monkeypatch)
+    clean = write_run(tmp_path / "clean", solved(0.7, 1))
+    short, long, other = (
+        write_run(tmp_path / version, solved(rate, 2, count), suite=version)
+        for version, rate, count in ((draw(5, 50), 1.0, 50), (draw(5, 200), 0.5, 200), (draw(6, 100), 0.6, 100))
+    )
+    part = write_run(tmp_path / "part", solved(0.0, 2, 30), suite=draw(7, 60))
+
+    def gap(*runs: Path) -> FreshGap | None:
+        (row,) = leaderboard([clean, *runs], published=False).rows
+        return row.fresh
+
+    assert gap(short, long) == gap(long) == gap(long, part) and gap(part) is None
+    both = fresh_counts([known(read_run(path)) for path in (long, other)])
+    assert [count for _, count in both.values()] == [300]
+
+
+def test_a_fall_is_adjusted_for_the_rows_of_the_board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    use_installation(tmp_path, monkeypatch)
+    version = draw(5, 200)
+    runs = []
+    for n in range(12):
+        fresh = np.arange(200) < (100 if n else 78)
+        runs.append(write_run(tmp_path / f"{n}", np.arange(300) < 150, policy=f"p{n}"))
+        runs.append(write_run(tmp_path / f"{n}-fresh", fresh, policy=f"p{n}", suite=version))
+    alone, many = (leaderboard(some, published=False) for some in (runs[:2], runs))
+    assert [row.fresh.falls for row in alone.rows if row.fresh] == [True]
+    assert not any(row.fresh.falls for row in many.rows if row.fresh)
 
 
 def test_the_interval_of_a_difference() -> None:
