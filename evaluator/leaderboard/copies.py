@@ -5,7 +5,9 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 
+from evaluator.leaderboard.eligibility import obstacles
 from evaluator.leaderboard.verification import Record
+from evaluator.policy.named import kind_of
 from evaluator.run.actions import NOT_ASKED, encode_actions
 from evaluator.run.entry import entry_folder
 from evaluator.run.run import Run
@@ -19,15 +21,18 @@ COPY_SHARE = 0.9
 def in_order(runs: Sequence[Run], records: Mapping[str, Record]) -> list[Run]:
     """Runs with the originals before their copies.
 
-    First what is verified; of that, entries in the order in which they were recorded, others that come with rema, run
-    folders (which show more than an entry), and other entries; each by name and digest.
+    First what is verified, and meets the conditions of a rank; of that, entries in the order in which they were
+    recorded, others that come with rema, run folders (which show more than an entry), and other entries; of these,
+    installed policies come before others, each by name and digest.
     """
 
     def place(run: Run) -> tuple[object, ...]:
         record = records.get(run.digest) if run.kind == "entry" else None
         installed = run.kind == "entry" and run.source.resolve().parent == entry_folder().resolve()
         number = record.number if record is not None else float("inf")
-        return not run.verified, number, not installed, run.kind == "entry", run.policy, run.digest, str(run.source)
+        known = kind_of(run.policy) is not None
+        order = (number, not installed, run.kind == "entry", not known, run.policy, run.digest, str(run.source))
+        return not run.verified, bool(obstacles(run)), *order
 
     return sorted(runs, key=place)
 

@@ -46,14 +46,14 @@ def world(process: FakePolicyProcess, digest: str) -> Any:
 
 @pytest.fixture(scope="module")
 def honest(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Path]]:
-    """An honest run of rank 1, and one of rank 2."""
+    """An honest run of rank 1, and one of rank 2. Their names come after those that forgers choose."""
     folder = tmp_path_factory.mktemp("forgeries")
     with pytest.MonkeyPatch.context() as patch:
         use_installation(folder, patch)
         found = []
-        for name, process in (("expert", Expert()), ("plain", FakePolicyProcess())):
+        for name, digest, process in (("skilled", "e", Expert()), ("unskilled", "f", FakePolicyProcess())):
             config = fake_config(folder / name, episodes=EPISODES, engine="inline")
-            run_evaluation(config, backend=world(process, name[0]))
+            run_evaluation(config, backend=world(process, digest))
             found.append(folder / name)
         yield found
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from itertools import combinations
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 from evaluator.leaderboard import Board, Row, leaderboard, published_rows
 from evaluator.leaderboard.export import titled_groups
 from evaluator.leaderboard.ranking import LEVEL
+from evaluator.run.header import RUN_FILE
 from evaluator.statistics import holm, midp_mcnemar, pair_table
 from rema_data.errors import IntegrityError, MissingFileError
 from tests.evaluator.runs import (
@@ -22,6 +24,7 @@ from tests.evaluator.runs import (
     FINGERPRINT,
     STOPPED,
     Bools,
+    reseal,
     solved,
     use_installation,
     write_entry,
@@ -153,6 +156,17 @@ def test_a_run_whose_seal_was_taken_away_is_refused(write: Write) -> None:
     (folder / "run.json").write_text(json.dumps(header, indent=2) + "\n")
     with pytest.raises(MissingFileError, match="is not sealed"):
         leaderboard([folder], published=False)
+
+
+def test_a_copy_that_has_no_rank_takes_no_place(write: Write) -> None:
+    mine = write("mine", solved(0.5, 2))
+    copy = Path(shutil.copytree(mine, mine.with_name("aaa")))
+    header = json.loads((copy / RUN_FILE).read_text())
+    header["policy"]["name"] = "aaa"  # before the original by name
+    (copy / RUN_FILE).write_text(json.dumps(header))
+    reseal(copy, stopped_early=STOPPED)
+    (row,) = leaderboard([copy, mine], published=False).rows
+    assert (row.policy, row.rank) == ("mine", 1)
 
 
 def test_a_rank_that_hangs_on_lost_episodes_is_none(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
