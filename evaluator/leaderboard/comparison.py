@@ -183,7 +183,7 @@ def _targets(a: Run, b: Run) -> tuple[Targets | None, str]:
     for run in (a, b):
         if run.kind == "run":
             return run.targets, ""
-    version = a.suite or VERSION
+    version = a.version or VERSION
     known = installed_list(a.task, a.split, version)
     if known is None or known[0] != a.provenance.scenarios_hash:
         return None, "No breakdown: this installation does not have the scenario list of these entries."

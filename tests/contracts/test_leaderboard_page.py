@@ -13,8 +13,10 @@ from benchmarks.leaderboard import END, PAGE, START, replace_section, section
 from evaluator.cli.main import VERBS, cli
 from evaluator.engines.child import call_in_child
 from evaluator.leaderboard.eligibility import obstacles
+from evaluator.leaderboard.naming import installed_digest
 from evaluator.leaderboard.suites import BOARD_SUITE
 from evaluator.leaderboard.verification import known, records, simulated
+from evaluator.policy.named import kind_of
 from evaluator.protocol import FLIP_LIMIT
 from evaluator.rollout.backend import default_backend
 from evaluator.rollout.derive import simulate_recorded
@@ -73,6 +75,16 @@ def test_every_entry_of_the_newest_format_has_a_record_and_every_record_an_entry
     newest = {run.digest for run in map(read_entry, find_entries()) if run.recorded is not None}
     assert newest == records().keys()
     assert sorted(path.name for path in (ENTRIES / "verified").glob("*.json")) == [path.name for path in recorded()]
+
+
+def test_rows_of_installed_policies_are_of_the_policies_that_are_here() -> None:
+    """Another version of one is another policy: nothing that it plays stands beside these rows any more."""
+    for path in recorded():
+        entry = read_entry(path)
+        if kind_of(entry.policy) is not None:
+            assert entry.provenance.policy_digest == installed_digest(entry.policy, entry.task), (
+                f"{path.name}: the policy, or something that it imports, has changed: score it again, or undo that"
+            )
 
 
 @pytest.mark.slow
