@@ -118,7 +118,7 @@ def test_a_sample_of_every_record_is_what_its_entry_gives() -> None:
         rows = sorted(np.random.default_rng(seed).choice(len(entry.actions), SAMPLE, replace=False).tolist())
         plan = Plan([scenarios.scenarios[row] for row in rows], entry.task, entry.protocol)
         answers = recorded_actions(entry.actions, plan.steps)
-        simulate_recorded(plan, answers, world, Silent(), phase="sample", workers=1, missing_fails=True)
+        simulate_recorded(plan, answers, world, Silent(), phase="sample", engine="inline", missing_fails=True)
         for row in rows:
             end = verdict(row, plan.steps, answers)
             assert said.label(row) == ("success" if end.success else str(end.failure and end.failure.value)), (
