@@ -28,6 +28,7 @@ SECTIONS = {
     "isolation": "Isolation of the policy",
     "verify_entry": "Verifying an entry of the leaderboard",
     "hostile": "Hostile policies",
+    "forgeries": "Forged runs and entries",
     "memory": "Memory",
     "determinism": "Determinism of the world",
     "byte_identity": "Equal bytes of whole runs",
