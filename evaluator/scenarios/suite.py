@@ -174,7 +174,7 @@ def _check_size(size: Mapping[str, int], tasks: Sequence[str]) -> None:
             if not 1 <= count <= most:
                 raise InputError(
                     f"cells of {count} scenarios cannot be made of {task}/{split}: a cell has 1 to {most}",
-                    hint=f"give {most} or less for {split}",
+                    hint=f"give 1 to {most} scenarios for {split}",
                     task=task,
                     split=split,
                 )
