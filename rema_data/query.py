@@ -33,6 +33,8 @@ _OF_EPISODES = {
 }
 COLUMNS: dict[str, Column] = {**_OF_STEPS, **_OF_EPISODES}
 """What a condition may name: the columns of steps, and those of the episode: ``episode_success``, ``seed``, ..."""
+_POSITION = "position among the steps"
+"""Name of the column that tells which row is which: a window function gives rows in an order of its own."""
 
 
 def steps_that_meet(where: str, tables: Sequence[tuple[pa.Table, pa.Table]]) -> npt.NDArray[np.bool_]:
@@ -59,6 +61,7 @@ def steps_that_meet(where: str, tables: Sequence[tuple[pa.Table, pa.Table]]) -> 
     except ModuleNotFoundError:
         raise InputError("a condition (where) needs DuckDB, which is not installed", hint=_EXTRA) from None
     table = pa.concat_tables([_joined(episodes, steps) for episodes, steps in tables])
+    table = table.append_column(_POSITION, pa.array(np.arange(len(table))))
     # A condition reads the table and nothing else: no files, no extensions, no variables of this process.
     closed: dict[str, Any] = {
         "enable_external_access": False,
@@ -68,17 +71,15 @@ def steps_that_meet(where: str, tables: Sequence[tuple[pa.Table, pa.Table]]) -> 
     }
     with duckdb.connect(":memory:", config=closed) as connection:
         try:
-            found: Any = connection.from_arrow(table).project(where).to_arrow_table()
+            found: Any = connection.from_arrow(table).project(f'"{_POSITION}", {where}').to_arrow_table()
         except duckdb.Error as error:
             raise _explained(where, str(error)) from error
-    if found.num_columns != 1 or found.column(0).type != pa.bool_() or len(found) != len(table):
-        got = ", ".join(str(field.type) for field in found.schema)
-        raise InputError(
-            f"where={where!r} is not one condition a step: it gives {got or 'nothing'}",
-            hint="compare values, for example \"target_shape = 'T' and lift_m < 0.1\"",
-            where=where,
-        )
-    met: npt.NDArray[np.bool_] = pc.fill_null(found.column(0), False).to_numpy()
+    types = [str(field.type) for field in found.schema][1:]
+    positions = found.column(0).to_numpy()
+    if types != ["bool"] or not np.array_equal(np.sort(positions), np.arange(len(table))):
+        raise _no_condition(where, f"it gives {', '.join(types) or 'nothing'}")
+    met = np.empty(len(table), bool)
+    met[positions] = pc.fill_null(found.column(1), False).to_numpy()
     return met
 
 
@@ -90,10 +91,20 @@ def _joined(episodes: pa.Table, steps: pa.Table) -> pa.Table:
     return steps
 
 
+def _no_condition(where: str, what: str) -> InputError:
+    return InputError(
+        f"where={where!r} is not one condition a step: {what}",
+        hint="compare values, for example \"target_shape = 'T' and lift_m < 0.1\"",
+        where=where,
+    )
+
+
 def _explained(where: str, problem: str) -> InputError:
     """What DuckDB says of a condition, in terms of the tables."""
     kind, _, what = problem.partition(": ")
     first = what.partition("\n")[0].strip() or kind
+    if "GROUP BY" in first:
+        return _no_condition(where, "it sums up steps; to compare with them, add OVER, as in avg(lift_m) over ()")
     unknown = re.search(r'Referenced column "(.*?)" not found', what)
     if unknown:
         name = unknown[1]

@@ -15,7 +15,7 @@ from pathlib import Path
 import platformdirs
 
 from rema_data import environment, repair
-from rema_data.errors import StorageError
+from rema_data.errors import MissingFileError, StorageError
 from rema_data.leftovers import temporary_file
 
 __all__ = [
@@ -92,7 +92,7 @@ def _home_of_nobody() -> Path:
 def storage_errors(path: Path) -> Iterator[None]:
     """Turn the errors of a full or read-only disk, and of an impossible path, into a StorageError about ``path``.
 
-    Other ``OSError`` pass through.
+    A file elsewhere that is not there, one that is read, is a MissingFileError. Other ``OSError`` pass through.
     """
     try:
         yield
@@ -101,12 +101,30 @@ def storage_errors(path: Path) -> Iterator[None]:
     except OSError as error:
         if error.errno not in _STORAGE:
             raise
+        if error.errno == errno.ENOENT and not _is_written(error, path):
+            raise MissingFileError(
+                f"a file that is needed does not exist: {error.filename or error}",
+                hint="restore it, then run the same command again",
+                path=str(error.filename or ""),
+            ) from error
         raise StorageError(
             f"cannot write {path}: {_STORAGE[error.errno]}",
             hint=_way_out(path, error.errno),
             path=str(path),
             errno=error.errno,
         ) from error
+
+
+def _is_written(error: OSError, path: Path) -> bool:
+    """Whether an error is about ``path``, what is below or above it, or what becomes it (``rema_data.leftovers``)."""
+    target = absolute(path)
+    becomes = str(target.parent / f".{target.name}.")
+    for name in (error.filename, error.filename2):
+        if isinstance(name, str | bytes):
+            found = Path(os.fsdecode(name)).absolute()
+            if found.is_relative_to(target) or target.is_relative_to(found) or str(found).startswith(becomes):
+                return True
+    return False
 
 
 def _way_out(path: Path, number: int) -> str:

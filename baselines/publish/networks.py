@@ -17,7 +17,7 @@ from rema_data.errors import InputError
 from rema_data.publish import Published, publication
 from rema_data.release.card import citation_file
 from rema_data.release.licences import KNOWN_LICENCES, licence_url, weights_notice
-from rema_data.storage import write_atomic
+from rema_data.storage import absolute, write_atomic
 
 __all__ = ["is_networks", "publish_networks"]
 
@@ -27,7 +27,7 @@ _LICENCE = "MIT"
 
 def is_networks(what: str) -> bool:
     """Whether a word names networks: those of a built-in policy, or a folder of them."""
-    return what in shipped_policies() or any(Path(what).expanduser().glob(f"*{WEIGHTS}"))
+    return what in shipped_policies() or any(absolute(what).glob(f"*{WEIGHTS}"))
 
 
 def publish_networks(what: str, target: Path, licence: str = "") -> Published:
@@ -43,7 +43,7 @@ def publish_networks(what: str, target: Path, licence: str = "") -> Published:
     """
     place = shipped_checkpoint(what)
     if place is None:
-        place = Path(what).expanduser()
+        place = absolute(what)
         if licence not in KNOWN_LICENCES:
             problem = f"{licence!r:.40} is not a licence that is known" if licence else "these networks have no licence"
             raise InputError(problem, hint=f"choose one of them with --license: {', '.join(KNOWN_LICENCES)}")

@@ -16,7 +16,9 @@ from baselines.rounds.play import BATCH, BehaviourPolicies, Player
 from baselines.rounds.work import CHUNK_EPISODES, WorkFolder, cut, work_path
 from evaluator.engines import Engine, make_engine
 from evaluator.engines.child import call_in_child
+from evaluator.run.environment import source_digest
 from evaluator.runner import Backend, default_backend
+from evaluator.scenarios.varied import VARIES
 from rema_data.errors import InputError, IntegrityError, PolicyFailureError, RunMismatchError
 from rema_data.interrupts import check
 from rema_data.progress import Progress, Silent
@@ -133,9 +135,19 @@ class _Collection:
 
     def schema_version(self) -> int:
         """Of every block that is collected: the earliest version that has what the plan and its parent use."""
-        varies = any(block.vary is not None for block in self.plan.blocks)
         continued = self.parent.manifest.schema_version if self.parent is not None and self.reused else 1
-        return max(continued, version_with(*([VARIATION] if varies else [])))
+        return max(continued, version_with(*([VARIATION] if self.varies else [])))
+
+    @property
+    def varies(self) -> bool:
+        """Whether any block has varied episodes."""
+        return any(block.vary is not None for block in self.plan.blocks)
+
+    @property
+    def code(self) -> str:
+        """Identity of the code that decides a byte of an episode: episodes of other code are not mixed with these."""
+        drawing = [source_digest(*VARIES)] if self.varies else []  # clean episodes are drawn by the world alone
+        return " ".join([self.backend.observation_hash, *drawing])
 
     @cached_property
     def plan_sha256(self) -> str:
@@ -178,8 +190,7 @@ class _Collection:
             self.check_name()
             self.plan.check_devices()
             frozen = frozen_scenes()  # read before anything is played: without them nothing can be sealed
-            # Episodes that other code of the world made are not mixed with these.
-            with WorkFolder.locked(self.work, {**self.identity, "code": self.backend.observation_hash}) as work:
+            with WorkFolder.locked(self.work, {**self.identity, "code": self.code}) as work:
                 found = self.sealed()  # another process may have sealed it meanwhile
                 if found is None:
                     self.play(work, start_engine)

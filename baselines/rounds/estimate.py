@@ -15,7 +15,7 @@ from pathlib import Path
 from baselines.rounds.plan import BlockPlan, CollectionPlan, PolicyUse
 from baselines.rounds.play import BehaviourPolicies, Player
 from baselines.rounds.work import Chunk, encoded
-from evaluator.engines import Engine, default_workers, engine_type, make_engine
+from evaluator.engines import Engine, default_workers, engine_type, make_engine, worker_count
 from evaluator.runner import Backend, default_backend
 from evaluator.scenarios.varied import Vary
 from rema_data.leftovers import temporary_folder
@@ -78,7 +78,7 @@ def estimate(
         for kind, block in kinds.items():
             player = Player(plan.seed, backend, policies.of, {block.key: block.vary})
             rates[kind] = _measure(player, running, block, folder, progress)
-    count = make_engine(engine, workers, address=address).workers
+    count = worker_count(engine, workers, address=address)
     place = engine_type(engine).place
     if place == "here":
         count = 0

@@ -37,6 +37,7 @@ A policy is named as for ``rema evaluate``. Files are looked for beside the plan
 
 from __future__ import annotations
 
+import os
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
@@ -243,7 +244,7 @@ def read_plan(content: dict[str, Any], path: Path, checkpoint: _Networks | None 
     ``checkpoint`` gives the folder of the networks that a plan names; by default they are beside ``path``, too.
     """
     plan = validated(_Collection, content, str(path), hint=_HINT)
-    networks = checkpoint or (lambda name: check_checkpoint(path.parent / Path(name).expanduser()))
+    networks = checkpoint or (lambda name: check_checkpoint(path.parent / os.path.expanduser(name)))
     blocks: list[BlockPlan] = []
     reused: list[int] = []
     for number, table in enumerate(plan.rounds, 1):
@@ -302,7 +303,7 @@ def _policies(path: Path, where: str, task: str, values: _Task, networks: _Netwo
 def _policy(path: Path, where: str, task: str, use: _Policy, networks: _Networks) -> PolicyUse:
     """A policy with the files that it needs for a task: relative paths start in the plan's folder."""
     try:
-        spec = resolve(str(path.parent / Path(use.code).expanduser()) if ".py" in use.code else use.code)
+        spec = resolve(str(path.parent / os.path.expanduser(use.code)) if ".py" in use.code else use.code)
         found = shipped_checkpoint(spec.name, task) if use.checkpoint is None else networks(use.checkpoint)
     except RemaError as error:
         message = f"{path}: {where}: {error.message}"

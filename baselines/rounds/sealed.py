@@ -27,13 +27,15 @@ from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import BlockEntry
 from rema_data.storage import storage_errors, write_atomic
 from rema_data.store.block import EPISODES
-from rema_data.store.columns import VARIATION, version_with
+from rema_data.store.columns import VARIATION, may_vary
 from rema_data.store.tables import table_version, variation_of
 from rema_data.validation import validated
 
 __all__ = ["PLAYERS", "STAGES", "check_sealed", "note", "players_of", "read_notes"]
 
 STAGES, PLAYERS = "stages.json", "players.json"
+_CHANCE = 1e-9
+"""What is less likely than this is not taken for chance: that all episodes of a block stay clean."""
 
 
 def read_notes(path: Path) -> dict[str, Any]:
@@ -95,9 +97,11 @@ def _difference(planned: CollectionPlan, plan: RecursionPlan, entry: RoundPlan, 
             if seed != planned.seed:
                 return f"was drawn with the seed {seed}, not {planned.seed}, so it is not"
         (vary,) = (one.vary for one in planned.blocks if one.key == block.key)
-        if others := _axes(episodes) - set(vary.axes if vary is not None else ()):
+        axes = _axes(episodes)
+        if others := axes - set(vary.axes if vary is not None else ()):
             return f"has episodes that are varied by {', '.join(sorted(others))}, so it is not"
-        if vary is not None and table_version(episodes) < version_with(VARIATION):
+        by_chance = vary is not None and may_vary(table_version(episodes)) and vary.clean ** len(episodes) > _CHANCE
+        if vary is not None and not axes and not by_chance:
             return "has no varied episodes, so it is not"
     recorded = read_notes(release.root / CHECKPOINTS / plan.name / PLAYERS).get(entry.release)
     if recorded is not None:

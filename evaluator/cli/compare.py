@@ -11,6 +11,7 @@ import click
 
 from evaluator.cli.options import json_option
 from evaluator.cli.output import line, print_answer, print_facts, print_table
+from evaluator.protocol import PROTOCOLS
 
 if TYPE_CHECKING:
     from evaluator.leaderboard.comparison import Comparison
@@ -50,16 +51,29 @@ def _print(found: Comparison) -> None:
         _print_strata(found)
     for side, only in (("A", found.only_a), ("B", found.only_b)):
         line(f"solved by {side} alone: {_first(only)}")
-    if found.only_a or found.only_b:
-        line(f"look at one: {_preview(found)}", "dim")
+    if command := _look_at_one(found):
+        line(f"look at one: {command}", "dim")
 
 
-def _preview(found: Comparison) -> str:
-    """The command that shows a scenario of the list that both policies met; N is left to be filled in."""
-    words = ["rema", "preview"]
-    for option in ("task", "split", "protocol"):
-        words += [f"--{option}", str(getattr(found.a, option))]
-    return f"{shlex.join(words)} --policy POLICY --scenario N"
+def _look_at_one(found: Comparison) -> str:
+    """The command that shows a scenario that one policy alone solved; POLICY and N are left to be filled in.
+
+    `rema preview` shows the lists in force, and whole observations: of another run, its own record is shown.
+    """
+    from evaluator.scenarios.lists import VERSION
+
+    differing = (*found.only_a, *found.only_b)
+    if not differing:
+        return ""
+    if found.a.version == VERSION and found.a.protocol in PROTOCOLS:
+        words = ["rema", "preview"]
+        for option in ("task", "split", "protocol"):
+            words += [f"--{option}", str(getattr(found.a, option))]
+        return f"{shlex.join(words)} --policy POLICY --scenario N"
+    run = next((run for run in (found.a, found.b) if run.kind == "run"), None)  # an entry has no table to browse
+    if run is None:
+        return ""
+    return shlex.join(["rema", "view", str(run.source), "--episode", run.table["scenario"][differing[0]].as_py()])
 
 
 def _print_facts(found: Comparison) -> None:

@@ -15,7 +15,7 @@ from evaluator.engines.base import (
     StepSimulator,
     default_workers,
 )
-from evaluator.engines.registry import check_engine, engine_names, engine_type, make_engine
+from evaluator.engines.registry import check_engine, engine_names, engine_type, make_engine, worker_count
 
 __all__ = [
     "FINGERPRINT",
@@ -33,4 +33,5 @@ __all__ = [
     "engine_names",
     "engine_type",
     "make_engine",
+    "worker_count",
 ]

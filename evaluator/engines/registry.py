@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from typing import TYPE_CHECKING, cast
 
 from evaluator.engines.base import SIMULATOR, Engine, EngineType
@@ -10,7 +11,7 @@ from rema_data.errors import InputError
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-__all__ = ["check_engine", "engine_names", "engine_type", "make_engine"]
+__all__ = ["check_engine", "engine_names", "engine_type", "make_engine", "worker_count"]
 
 GROUP = "rema.engines"
 
@@ -57,3 +58,9 @@ def make_engine(
     Raises InputError as ``check_engine``, or where a library that the engine needs is not installed.
     """
     return check_engine(name, workers, address)(factory, workers, address=address)
+
+
+def worker_count(name: str, workers: int | None = None, *, address: str | None = None) -> int:
+    """How many jobs an engine runs at a time. A cluster is asked, and left again. Raises as ``make_engine``."""
+    with closing(make_engine(name, workers, address=address)) as engine:
+        return engine.workers

@@ -79,11 +79,6 @@ class PoseEnv(gymnasium.Env[dict[str, Any], Array]):
         )
         self.action_space = spaces.Box(-1.0, 1.0, (4,), np.float32)
 
-    @property
-    def most_steps(self) -> int:
-        """Primitives of an episode at most."""
-        return self._max_episode_steps
-
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Array], dict[str, Any]]:

@@ -43,7 +43,7 @@ def resolve(reference: str) -> PolicySpec:
     if named is not None:
         return PolicySpec(reference, named.file, named.class_name, named)
     file_name, class_name = _split(reference)
-    path = Path(file_name).expanduser()
+    path = Path(os.path.expanduser(file_name))
     if path.suffix != ".py":
         near = f"{file_name}.py"
         hint = f"write {near}" if Path(near).is_file() else f"give a .py file, or an installed policy:\n{listing()}"
@@ -77,7 +77,7 @@ def check_checkpoint(checkpoint: Path | None) -> Path | None:
     """The checkpoint as an absolute path under the name that it was given, or a MissingFileError."""
     if checkpoint is None:
         return None
-    path = checkpoint.expanduser()
+    path = Path(os.path.expanduser(checkpoint))
     if not path.exists():
         raise MissingFileError(f"checkpoint {path} does not exist", hint="check the path after --checkpoint", path=path)
     return Path(os.path.abspath(path))

@@ -11,7 +11,6 @@ policy may play some tasks with networks of their own, so that what it is in the
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -23,9 +22,9 @@ from rema_data.locks import lock
 from rema_data.manifests import manifests_dir, read_manifest
 from rema_data.release.folder import downloads_folder, local_sources
 from rema_data.schema import TASKS
-from rema_data.storage import write_atomic
+from rema_data.storage import file_sha256, write_atomic
 
-__all__ = ["CHECKPOINTS", "Shipped", "file_sha256", "publish_checkpoint", "shipped_checkpoint", "shipped_policies"]
+__all__ = ["CHECKPOINTS", "Shipped", "publish_checkpoint", "shipped_checkpoint", "shipped_policies"]
 
 CHECKPOINTS = "checkpoints"
 """Folder of networks, inside a folder of releases; and, with a suffix, the name of their manifest."""
@@ -160,9 +159,3 @@ def _check(place: Path, files: Mapping[str, str]) -> None:
 def _networks(place: Path) -> set[str]:
     """Names of the files of a folder that are weights or cards."""
     return {path.name for path in place.iterdir() if path.suffix in (".safetensors", ".json")}
-
-
-def file_sha256(path: Path) -> str:
-    """sha256 of a file, hexadecimal; ``rema_data.release.seal`` has it too, but imports much that a policy need not."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

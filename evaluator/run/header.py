@@ -15,6 +15,8 @@ from evaluator.policy.loading import NAME_LENGTH
 from evaluator.policy.named import policy_names
 from evaluator.protocol import BLANKED, PROTOCOLS
 from evaluator.run.audit import AuditNumbers
+from evaluator.scenarios.lists import FRESH, version_of
+from evaluator.scenarios.suites import suites
 from rema_data.errors import IntegrityError, MissingFileError
 from rema_data.schema import TASKS
 from rema_data.storage import storage_errors
@@ -209,6 +211,7 @@ def resume_command(header: dict[str, Any], folder: Path) -> str:
     for option in ("task", "protocol", "split"):
         if option in identity:
             words += [f"--{option}", str(identity[option])]
+    words += _list_options(identity)
     devices = [segment["device"] for segment in header["segments"] if isinstance(segment.get("device"), str)]
     if devices:
         words += ["--device", devices[-1]]
@@ -218,3 +221,14 @@ def resume_command(header: dict[str, Any], folder: Path) -> str:
             words += [f"--{option.replace('_', '-')}", *noted]
     words += ["--episodes", str(header["episodes"]), "--output", str(folder)]
     return shlex.join(words)
+
+
+def _list_options(identity: Mapping[str, Any]) -> list[str]:
+    """The options that name the list of a run, where it is not the clean one; nothing where the list is not here."""
+    try:
+        version = version_of(identity["task"], identity["split"], identity["scenarios_hash"])
+    except MissingFileError:  # there are no lists at all
+        return []
+    if version.startswith(FRESH):
+        return ["--fresh", version.removeprefix(FRESH).partition("-")[0]]
+    return ["--suite", version] if version in suites() else []

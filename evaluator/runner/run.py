@@ -7,11 +7,12 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import pyarrow as pa
 
-from evaluator.engines import default_workers, make_engine
+from evaluator.engines import default_workers, worker_count
 from evaluator.engines.child import call_in_child
 from evaluator.policy.wire import TAGS
 from evaluator.rollout.backend import Backend, PolicyProcess, check_digest, default_backend
@@ -154,11 +155,15 @@ class _Run:
         finally:
             self.seconds[phase] += time.perf_counter() - start
 
+    @cached_property
+    def _workers(self) -> int:
+        return worker_count(self.config.engine, self.config.workers, address=self.config.address)
+
     def _begin(self) -> None:
         config = self.config
         self.folder.begin_segment(
             engine=config.engine,
-            workers=make_engine(config.engine, config.workers, address=config.address).workers,
+            workers=self._workers,
             batch_size=config.batch_size,
             order=config.order,
             shard=None if config.shard is None else str(config.shard),

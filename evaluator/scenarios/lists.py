@@ -13,7 +13,6 @@ import io
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -40,7 +39,7 @@ from rema_data.schema import (
 )
 from rema_data.storage import rema_home, write_atomic
 from rema_data.validation import validated
-from rema_data.variation import Variation, compact, variation_from_dict
+from rema_data.variation import Variation, variation_from_text, variation_text
 
 __all__ = [
     "ScenarioList",
@@ -128,7 +127,7 @@ def _row(scenario: Scenario) -> dict[str, Any]:
             row.update({f"{prefix}_{name}": float(getattr(thing.spec, name)) for name in _SPEC})
             row.update({f"{prefix}_{name}": float(getattr(thing, name)) for name in _POSE[kind]})
     if scenario.variation is not None:
-        row[_VARIATION] = json.dumps(compact(scenario.variation), separators=(",", ":"))
+        row[_VARIATION] = variation_text(scenario.variation)
     return row
 
 
@@ -326,21 +325,15 @@ def decode_list(payload: bytes, count: int, task: str, split: str) -> tuple[Scen
 
 
 def _variation(text: str) -> Variation:
-    """What a scenario of a suite changes; ValueError, KeyError, TypeError or RecursionError for anything else."""
+    """What a scenario of a suite changes; a ValueError, in one line, for anything else."""
     try:
-        _variation_form().validate_json(text, strict=True)
+        found = variation_from_text(text)
     except pydantic.ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(map(str, first["loc"])) or "it"
         raise ValueError(f"what it changes is not known: {where}: {first['msg']}") from error
-    return variation_from_dict(
-        json.loads(text, parse_constant=_not_finite)
-    )  # which refuses names that it does not know
-
-
-@cache
-def _variation_form() -> pydantic.TypeAdapter[Variation]:
-    return pydantic.TypeAdapter(Variation)
+    json.loads(text, parse_constant=_not_finite)
+    return found
 
 
 def _not_finite(text: str) -> float:

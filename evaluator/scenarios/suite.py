@@ -122,8 +122,11 @@ def draw_suite(
     """Write the lists of a suite and their manifest, ``manifests/scenarios/VERSION``; a list that is there stays.
 
     ``size`` has the scenarios of a cell in each split, by default ``CELL``; ``identity`` is that of the code that
-    draws. What was drawn before an interruption is not drawn again. Returns the manifest's path.
+    draws. What was drawn before an interruption is not drawn again. Returns the manifest's path. Raises InputError,
+    before anything is written, for a size that the clean lists are too short for.
     """
+    size = size or CELL
+    _check_size(size, tasks)
     sink, manifest = progress or Silent(), manifest_path(version)
     if not manifest.exists():
         axes = {
@@ -133,7 +136,7 @@ def draw_suite(
         manifest.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(manifest, json.dumps({"version": version, SUITE: axes, "lists": {}}, indent=2) + "\n")
     for task in tasks:
-        for split, count in (size or CELL).items():
+        for split, count in size.items():
             entry = named_list(manifest, task, split)
             if entry is not None and (manifest.parent / entry["file"]).exists():
                 continue
@@ -160,6 +163,21 @@ def draw_suite(
             write_named(manifest, version, ordered, entry, domain, redrawn_by_cell=dict(again))
             shutil.rmtree(work, ignore_errors=True)
     return manifest
+
+
+def _check_size(size: Mapping[str, int], tasks: Sequence[str]) -> None:
+    """Raise InputError where a cell would have no scenario, or a clean list too few for the cells of every axis."""
+    for task in tasks:
+        places = 1 + max(AXES[cell.axis].number for cell in cells(task))
+        for split, count in size.items():
+            most = len(load_list(task, split).scenarios) // places
+            if not 1 <= count <= most:
+                raise InputError(
+                    f"cells of {count} scenarios cannot be made of {task}/{split}: a cell has 1 to {most}",
+                    hint=f"give 1 to {most} scenarios for {split}",
+                    task=task,
+                    split=split,
+                )
 
 
 class _Part(NamedTuple):

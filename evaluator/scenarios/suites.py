@@ -9,7 +9,7 @@ from evaluator.scenarios.axes import AXES
 from evaluator.scenarios.lists import VERSION, ScenarioList, installed_list, manifest_path, versions
 from rema_data.errors import InputError, IntegrityError
 
-__all__ = ["SUITE", "Cell", "cells", "cells_of", "suite_length", "suites"]
+__all__ = ["SUITE", "Cell", "cells", "cells_of", "check_suite", "suite_length", "suites"]
 
 SUITE = "suite"
 """The field of a manifest that says that its lists are those of a suite."""
@@ -27,13 +27,18 @@ def _is_suite(version: str) -> bool:
         return False
 
 
+def check_suite(name: str) -> str:
+    """The name of a suite; InputError where there is no such one."""
+    here = suites()
+    if name not in here:
+        hint = f"choose one of: {', '.join(here) or 'none is here'}"
+        raise InputError(f"there is no suite {name!r}", hint=hint, suite=name)
+    return name
+
+
 def suite_length(suite: str, task: str, split: str) -> int:
     """Number of scenarios of a suite in a task; InputError where there is no such suite, or it has no such list."""
-    if suite not in suites():
-        raise InputError(
-            f"there is no suite {suite!r}", hint=f"choose one of: {', '.join(suites()) or 'none is here'}", suite=suite
-        )
-    found = installed_list(task, split, suite)
+    found = installed_list(task, split, check_suite(suite))
     if found is None:
         raise InputError(f"the suite {suite} has no {split} list of {task}", hint="choose another task or split")
     return found[1]

@@ -16,10 +16,12 @@ from evaluator.scenarios.axes import AXES, Draw
 from rema_data.schema import Scenario
 from rema_data.variation import Variation
 
-__all__ = ["CLEAN", "Vary", "axes_in", "vary_episode"]
+__all__ = ["CLEAN", "VARIES", "Vary", "axes_in", "vary_episode"]
 
 CLEAN = 0.5
 """Share of the clean episodes, where a plan does not say another one."""
+VARIES = ("evaluator.scenarios.axes", "evaluator.scenarios.varied")
+"""Packages and modules whose code, with that of the world (``evaluator.sim.DECIDES``), decides a varied episode."""
 _TRIES = 50
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from evaluator.run.header import RUN_FILE
@@ -26,7 +27,7 @@ def open_source(name_or_path: str | None = None, progress: Progress | None = Non
         The run or the manifest is damaged, or every block of the release that is here.
     """
     if name_or_path is not None:
-        path = Path(name_or_path).expanduser()
+        path = Path(os.path.expanduser(name_or_path))
         if (path / RUN_FILE).is_file() or (path / SUMMARY_FILE).is_file():
             from evaluator.view.run import RunSource
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from evaluator.sim.kinds import KINDS
 from evaluator.sim.parameters import WORLD
 from evaluator.sim.shapes import boxes
+from evaluator.view.source import takes
 from evaluator.view.viewer import Viewer
 from rema_data.errors import InputError
 from rema_data.interrupts import check
@@ -34,7 +35,7 @@ _ACTION = (217, 119, 6)
 
 
 def write_recording(viewer: Viewer, name: str, path: Path, progress: Progress | None = None) -> int:
-    """Write the recording of an episode; gives its number of steps.
+    """Write the recording of an episode; gives its number of steps. It ends where the episode does, played again here.
 
     Raises
     ------
@@ -65,11 +66,11 @@ def write_recording(viewer: Viewer, name: str, path: Path, progress: Progress | 
         stream.save(folder / "episode.rrd")
         seconds = 0.0
         progress.phase("record", len(steps))
-        for step in steps:
+        recorded = 0
+        for step, take in takes(viewer.source, place, steps, films, progress):
             stream.set_time("step", sequence=step.number + 1)
             stream.set_time("time", duration=seconds)
             _log_maps(rerun, stream, viewer.seen(name, step.number))
-            take = viewer.source.take(place, step.number, films)
             _log_action(rerun, stream, take)
             said = told[step.number]
             lines = [f"# {said['title']}", said["action"], said["why"] or "success", said["measured"] or ""]
@@ -78,12 +79,13 @@ def write_recording(viewer: Viewer, name: str, path: Path, progress: Progress | 
                 stream.set_time("time", duration=seconds)
                 _log_objects(rerun, stream, shot)
                 seconds += SHOT_EVERY * WORLD.time_step_s
+            recorded += 1
             check()
             progress.advance(1)
         stream.flush()
         stream.disconnect()
         write_atomic(path, (folder / "episode.rrd").read_bytes())
-    return len(steps)
+    return recorded
 
 
 def _log_maps(rerun: Any, stream: Any, seen: Seen) -> None:

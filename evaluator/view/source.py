@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from evaluator.view.table import EpisodeTable
 from rema_data.errors import RemaError
+from rema_data.progress import Progress
 from rema_data.schema import Observation, Situation
 
 if TYPE_CHECKING:
     from evaluator.render.film import FilmMaker, Take
 
-__all__ = ["Notice", "Play", "Seen", "Source", "StepRow"]
+__all__ = ["Notice", "Play", "Seen", "Source", "StepRow", "takes"]
 
 Play = Callable[[], "Take"]
 """Carries a step out again, where that is needed."""
@@ -73,3 +74,16 @@ class Source(ABC):
     @abstractmethod
     def take(self, place: int, step: int, films: FilmMaker) -> Take:
         """The step carried out again, or the earlier one at which the episode now ends."""
+
+
+def takes(
+    source: Source, place: int, steps: Sequence[StepRow], films: FilmMaker, progress: Progress
+) -> Iterator[tuple[StepRow, Take]]:
+    """Steps of an episode, each carried out again; with a note, only those up to where the episode now ends."""
+    for step in steps:
+        take = source.take(place, step.number, films)
+        if take.situation.step != step.number:
+            ends = f"played again here, {source.table.ids[place]} ends at step {take.situation.step + 1}"
+            progress.note(f"{ends}: the later steps that are recorded are left out")
+            return
+        yield step, take

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from evaluator.sim.kinds import KINDS
 from evaluator.sim.parameters import WORLD
+from evaluator.view.source import takes
 from evaluator.view.viewer import Viewer
 from rema_data.errors import InputError
 from rema_data.interrupts import check
@@ -39,7 +40,7 @@ _BEFORE_S, _AFTER_S = 0.5, 1.0
 
 
 def write_video(viewer: Viewer, name: str, path: Path, progress: Progress | None = None) -> int:
-    """Write the film of an episode; gives its number of frames.
+    """Write the film of an episode; gives its number of frames. It ends where the episode does, played again here.
 
     Raises
     ------
@@ -61,7 +62,7 @@ def write_video(viewer: Viewer, name: str, path: Path, progress: Progress | None
 
     progress = progress or Silent()
     place = viewer.place(name)
-    steps = [step.number for step in viewer.source.steps(place) if step.row["action"] is not None]
+    steps = [step for step in viewer.source.steps(place) if step.row["action"] is not None]
     if not steps:
         raise InputError(f"no step of {name} has an action", hint="choose another episode")
     rate = Fraction(round(1 / WORLD.time_step_s), SHOT_EVERY * _SHOTS)
@@ -72,8 +73,7 @@ def write_video(viewer: Viewer, name: str, path: Path, progress: Progress | None
         stream: Any = container.add_stream("libx264", rate)
         stream.width, stream.height = SIZE
         stream.pix_fmt = "yuv420p"
-        for step in steps:
-            take = viewer.source.take(place, step, films)
+        for _, take in takes(viewer.source, place, steps, films, progress):
             for picture, count in _pictures(studio, take, name, rate):
                 for _ in range(count):
                     container.mux(stream.encode(av.VideoFrame.from_image(picture)))

@@ -62,7 +62,11 @@ def import_release(
     reader = find_format(format or format_of(sources) or "hdf5")
     if name is not None:
         check_name(name)
-    with interrupts.held(), reader.read(sources) as source, storage_errors(root):
+    with (
+        interrupts.held(),
+        reader.read(sources) as source,
+        storage_errors(root / (name or source.manifest.name)),
+    ):
         name = name or source.manifest.name
         if (root / name / MANIFEST).exists():
             raise RunMismatchError(

@@ -131,7 +131,7 @@ def _records(piece: Piece, dataset: NewDataset) -> Iterator[bytes]:
     instruction = INSTRUCTIONS[dataset.task].encode()
     scenes = [zlib.compress(scene, _LEVEL) for scene in obs_of_scenes(maps.scene, dataset.maps)]
     hands = [zlib.compress(hand, _LEVEL) for hand in obs_of_end_effectors(maps.ee_depth, maps.ee_mask, dataset.maps)]
-    texts = {name: [(text or "").encode() for text in piece.steps[name].to_pylist()] for name in _TEXTS}
+    texts = {name: [_text(text) for text in piece.steps[name].to_pylist()] for name in _TEXTS}
     for row in piece.episodes.to_pylist():
         count = row["steps"]
         at = slice(row["first_step"], row["first_step"] + count)
@@ -148,12 +148,17 @@ def _records(piece: Piece, dataset: NewDataset) -> Iterator[bytes]:
             "steps/is_terminal": about["dones"][at],
             "steps/language_instruction": [instruction] * count,
             **{f"steps/{name}": texts[name][at] for name in _TEXTS},
-            **{f"episode_metadata/{name}": [str(row[name] or "").encode()] for name in names},
+            **{f"episode_metadata/{name}": [_text(row[name])] for name in names},
         }
         for name in EPISODE_VALUES:
             value = row[name]
             found[f"episode_metadata/{name}"] = np.array([-1 if value is None else value], np.int64)
         yield example(found)
+
+
+def _text(value: object) -> bytes:
+    """A value of a row as text: null is empty, a root seed of 0 is not."""
+    return b"" if value is None else str(value).encode()
 
 
 def _info(dataset: NewDataset, sizes: dict[BlockKey, int]) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from rema_data.progress import Progress, Silent
 from rema_data.release.folder import ReleaseFolder, downloads_folder, local_sources
 from rema_data.release.manifest import MANIFEST, Manifest, parse_manifest
 from rema_data.release.registry import load_published, newest, published
-from rema_data.storage import storage_errors, write_atomic
+from rema_data.storage import absolute, storage_errors, write_atomic
 
 __all__ = ["download", "fetch_again"]
 
@@ -162,7 +162,7 @@ def _manifest(release: str | None, path: str | os.PathLike[str] | None) -> Manif
             )
         return load_published(name)
     try:
-        data = Path(path).expanduser().read_bytes()
+        data = absolute(path).read_bytes()
     except OSError as error:
         raise MissingFileError(
             f"the manifest {os.fspath(path)} cannot be read: {error.strerror}", hint="name the file with --manifest"

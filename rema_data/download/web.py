@@ -20,6 +20,7 @@ from urllib3.exceptions import ProtocolError, ProxyError
 
 from rema_data.download.failures import Faltered, Refused, answered
 from rema_data.download.labels import label
+from rema_data.storage import absolute
 
 __all__ = ["WebFolder"]
 
@@ -151,8 +152,8 @@ class WebFolder:
     def _netrc(self) -> netrc.netrc | None:
         path = Path(os.environ.get("NETRC") or f"~/{'_netrc' if os.name == 'nt' else '.netrc'}")
         try:
-            return netrc.netrc(path.expanduser())
-        except (OSError, RuntimeError, UnicodeDecodeError, netrc.NetrcParseError):  # as if there were none
+            return netrc.netrc(absolute(path))
+        except (OSError, UnicodeDecodeError, netrc.NetrcParseError):  # as if there were none
             return None
 
     def _login(self, parts: SplitResult, header: str) -> dict[str, str]:

@@ -9,7 +9,7 @@ from rema_data.heights import HEIGHT_ERROR_M, HEIGHT_OFFSET_M, MISSING
 from rema_data.release.licences import licence_url
 from rema_data.release.manifest import BlockEntry, Manifest
 from rema_data.schema import HEIGHT_STEP_M, SEED_SHAPES, TASKS, Failure, Shape
-from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, VARIATION, Column, columns_at, version_with
+from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, VARIATION, Column, columns_at, may_vary
 
 __all__ = ["column_table", "datasheet", "has_varied"]
 
@@ -36,7 +36,7 @@ def datasheet(manifest: Manifest) -> str:
 
 def has_varied(manifest: Manifest) -> bool:
     """Whether something may be changed in the last step of some episodes of a release."""
-    return manifest.schema_version >= version_with(VARIATION)
+    return may_vary(manifest.schema_version)
 
 
 def column_table(columns: Iterable[Column]) -> str:

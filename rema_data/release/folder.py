@@ -140,7 +140,7 @@ def find_release(name_or_path: str | os.PathLike[str] | None = None) -> ReleaseF
         return _find_default()
     text = os.fspath(name_or_path)
     if text not in published():
-        folder = Path(text).expanduser()
+        folder = Path(os.path.expanduser(text))
         if not folder.is_dir():
             raise InputError(
                 f"{text!r} is neither a published release nor a folder",

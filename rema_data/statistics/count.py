@@ -18,7 +18,7 @@ from rema_data.query import steps_that_meet
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import BlockEntry
 from rema_data.schema import TASK_NUMBERS, TASKS, skill
-from rema_data.store.columns import VARIATION, version_with
+from rema_data.store.columns import VARIATION, may_vary
 from rema_data.store.tables import variation_of
 
 __all__ = ["AxisCount", "Statistics", "StepCount", "TaskTotal", "count"]
@@ -146,7 +146,7 @@ def count(
     for block, table in zip(here, _tables(release, here, where), strict=True):
         rows += _count_block(block, table)
         episodes[block.task] += len(np.unique(table["episode"].to_numpy()))
-        if release.manifest.schema_version >= version_with(VARIATION):
+        if may_vary(release.manifest.schema_version):
             axes.add(block.task, release.block(block).episodes(), table)
     return Statistics(
         release.manifest.name,

@@ -28,6 +28,7 @@ __all__ = [
     "arrow_schema",
     "check_version",
     "columns_at",
+    "may_vary",
     "version_with",
 ]
 
@@ -152,6 +153,11 @@ STEP_COLUMNS: tuple[Column, ...] = (
 def columns_at(columns: tuple[Column, ...], version: int) -> tuple[Column, ...]:
     """The columns that a table of a schema version has."""
     return tuple(column for column in columns if column.since <= version)
+
+
+def may_vary(version: int) -> bool:
+    """Whether tables of a schema version have the column of varied episodes; only it says whether any is varied."""
+    return any(column.name == VARIATION for column in columns_at(EPISODE_COLUMNS, version))
 
 
 def version_with(*optional: str) -> int:

@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from rema_data import environment, storage
-from rema_data.errors import StorageError
-from rema_data.storage import rema_home, write_atomic
+from rema_data.errors import MissingFileError, StorageError
+from rema_data.storage import rema_home, storage_errors, write_atomic
 
 
 def test_written_whole_and_nothing_else(tmp_path: Path) -> None:
@@ -35,6 +35,19 @@ def test_paths_that_cannot_be(tmp_path: Path, name: str, words: str) -> None:
         write_atomic(tmp_path / name, "text")
     assert caught.value.hint
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder"]
+
+
+@pytest.mark.parametrize("written", ["out/a/b", "out", ".", ".out.writing-abc/out/a"])
+def test_a_file_that_is_read_is_not_what_cannot_be_written(tmp_path: Path, written: str) -> None:
+    """Within ``storage_errors`` files are read too, and they may lie beside what is written."""
+    target, source = tmp_path / "out", tmp_path / "outside" / "source"
+    with pytest.raises(StorageError, match=f"cannot write {target}"), storage_errors(target):
+        raise FileNotFoundError(errno.ENOENT, "No such file or directory", str(tmp_path / written))
+    with pytest.raises(StorageError, match=f"cannot write {target}"), storage_errors(target):
+        os.rename(tmp_path, target / "a" / "b")
+    with pytest.raises(MissingFileError, match=f"does not exist: {source}") as caught, storage_errors(target):
+        source.read_bytes()
+    assert caught.value.hint
 
 
 def test_size_limit_leaves_the_old_file(tmp_path: Path) -> None:

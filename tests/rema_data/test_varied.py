@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,14 @@ from rema_data.errors import IntegrityError
 from rema_data.gallery import find_steps
 from rema_data.publish.card import dataset_card
 from rema_data.publish.dataset import publish_release
+from rema_data.release.datasheet import has_varied
 from rema_data.release.folder import ReleaseFolder
-from rema_data.schema import Shape
+from rema_data.schema import SCHEMA_VERSION, Shape
 from rema_data.sheets import describe
 from rema_data.statistics.count import count
+from rema_data.store import columns
 from rema_data.store.block import BlockReader, BlockWriter, encode_episodes
-from rema_data.store.columns import VARIATION
+from rema_data.store.columns import VARIATION, Column
 from rema_data.store.keys import BlockKey
 from rema_data.store.tables import variation_of
 from rema_data.testing import make_release, synthetic_episode
@@ -46,6 +49,19 @@ def loaded(varied: ReleaseFolder) -> rema_data.Release:
 def test_every_invariant_holds(varied: ReleaseFolder) -> None:
     assert varied.manifest.schema_version == 2
     assert verify(varied).ok
+
+
+def test_a_later_column_changes_nothing_about_which_releases_vary(
+    varied: ReleaseFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clean = make_release(tmp_path, tasks=("grasp",), episodes=5)
+    counted = count(varied).axes
+    later = Column("later_m", "float64", "in the next schema version", nullable=True, since=SCHEMA_VERSION + 1)
+    monkeypatch.setattr(columns, "STEP_COLUMNS", (*columns.STEP_COLUMNS, later))
+    assert has_varied(varied.manifest) and not has_varied(clean.manifest)
+    assert count(varied).axes == counted and len(counted) > 2
+    newer = ReleaseFolder(replace(clean.manifest, schema_version=2), clean.root)
+    assert count(newer).axes == ()  # its episodes say so, whatever the version
 
 
 def test_episodes_come_back_as_they_were(loaded: rema_data.Release) -> None:

@@ -15,7 +15,7 @@ from baselines.tae.checkpoint import Checkpoint, load_checkpoint, networks_in, s
 from baselines.tae.network import Architecture, TaeNetwork
 from evaluator.cli.main import cli
 from evaluator.policy.shipped import shipped_checkpoint
-from rema_data.errors import InputError, IntegrityError, RemaError
+from rema_data.errors import InputError, IntegrityError, MissingFileError, RemaError
 from rema_data.testing import make_release
 
 
@@ -92,6 +92,13 @@ def test_damaged_weights_are_not_published(trained: Path, tmp_path: Path) -> Non
     with pytest.raises(IntegrityError, match="truncated, damaged or of another training"):
         publish_networks(str(trained), tmp_path / "out" / "new", "MIT")
     assert not list((tmp_path / "out").iterdir())
+
+
+def test_a_network_without_its_card(trained: Path, tmp_path: Path) -> None:
+    (trained / "grasp.json").unlink()
+    with pytest.raises(MissingFileError, match=f"does not exist: {trained / 'grasp.json'}"):
+        publish_networks(str(trained), tmp_path / "out", "MIT")
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_release(tmp_path: Path) -> None:

@@ -429,6 +429,22 @@ def test_clean_episodes_are_drawn_as_ever() -> None:
             assert situation_of(row, None).target == drawn.placements[row["step"]]
 
 
+@pytest.mark.parametrize(("text", "goes_on"), [(VARIED, False), (PLAN, True)])
+def test_other_code_of_the_axes_makes_other_varied_episodes_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, goes_on: bool
+) -> None:
+    """A collection that varies nothing goes on after the axes have changed."""
+    plan = write_plan(tmp_path, text)
+    recorded = json.loads((interrupted(plan, tmp_path, 8) / "plan.json").read_bytes())
+    assert (recorded["code"] == "fake") == goes_on
+    monkeypatch.setattr("baselines.rounds.collect.source_digest", lambda *_: "that of an update")
+    if goes_on:
+        assert collect_fake(plan, tmp_path).release
+    else:
+        with pytest.raises(RunMismatchError, match="they differ in code"):
+            collect_fake(plan, tmp_path)
+
+
 @pytest.fixture(scope="module")
 def varied(tmp_path_factory: pytest.TempPathFactory) -> ReleaseFolder:
     folder = tmp_path_factory.mktemp("varied")

@@ -113,6 +113,11 @@ def test_nothing_of_the_published_recursion_is_done_again(monkeypatch: pytest.Mo
     ("before", "after", "words"),
     [
         ("", 'vary = ["act"]\n', "two-round-1 has no varied episodes, so it is not round 1"),
+        (
+            'vary = { axes = ["act"], clean = 0.9999999 }\n',
+            'vary = { axes = ["act"], clean = 0.01 }\n',
+            "has no varied",
+        ),
         ('vary = { axes = ["act", "shape"], clean = 0.1 }\n', "", "two-round-1 has episodes that are varied by"),
         ('vary = { axes = ["act"], clean = 0.1 }\n', 'vary = ["shape"]\n', "that are varied by act, so it is not"),
     ],

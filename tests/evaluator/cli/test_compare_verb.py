@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,9 @@ from click.testing import CliRunner, Result
 
 from evaluator.cli.main import cli
 from evaluator.cli.preview import preview
-from tests.evaluator.runs import EPISODES, solved, use_installation, write_run
+from evaluator.cli.view import view
+from evaluator.view import Viewer, open_source
+from tests.evaluator.runs import EPISODES, solved, use_installation, write_run, write_suite
 
 A, B = solved(0.6, 1), solved(0.5, 2)
 
@@ -51,6 +54,24 @@ def test_the_hint_shows_the_scenarios_that_were_compared(runs: tuple[Path, Path]
         context = preview.make_context("preview", words)
         assert (context.params["split"], context.params["protocol"]) == (split, protocol)
         assert (context.params["tasks"], context.params["index"]) == (("grasp",), 3)
+
+
+@pytest.mark.parametrize("changes", [{"suite": "tough-v1"}, {"protocol": "blank-scene"}])
+def test_the_hint_shows_a_scenario_of_another_list(
+    runs: tuple[Path, Path], tmp_path: Path, changes: dict[str, str]
+) -> None:
+    """`rema preview` has the lists in force alone, and blanks nothing: an episode of the run is shown."""
+    count = EPISODES
+    if "suite" in changes:
+        count = len(write_suite(tmp_path / "manifests", changes["suite"]))
+    a, b = solved(0.6, 1)[:count], solved(0.5, 2)[:count]
+    pair = [write_run(tmp_path / name, found, **changes) for name, found in (("c", a), ("d", b))]
+    (hint,) = (line for line in compare(*pair).stdout.splitlines() if line.startswith("look at one: "))
+    first = int(np.flatnonzero(a & ~b)[0])
+    said = view.make_context("view", shlex.split(hint.removeprefix("look at one: rema view "))).params
+    viewer = Viewer(open_source(said["release_or_run"]))
+    assert viewer.source.facts[2] == ("folder", str(pair[0]))
+    assert viewer.place(said["episode"]) == first
 
 
 def test_json_lists_every_discordant_scenario(runs: tuple[Path, Path]) -> None:

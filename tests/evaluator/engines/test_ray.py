@@ -11,7 +11,7 @@ from typing import Any
 import psutil
 import pytest
 
-from evaluator.engines import InfraError, Job, JobResult, make_engine
+from evaluator.engines import InfraError, Job, JobResult, make_engine, worker_count
 from evaluator.engines.ray import RayEngine
 from evaluator.policy import resolve
 from evaluator.replay import replay
@@ -238,6 +238,7 @@ def test_ctrl_c_and_kill_mean_what_they_meant_before() -> None:
     import ray
 
     ray.shutdown()
+    assert worker_count("ray") == 1 and not ray.is_initialized()  # it was asked, and left again
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
     engine = RayEngine(CLUSTER_SIMULATOR)
     assert engine.workers == make_engine("ray").workers == 1

@@ -8,12 +8,15 @@ from typing import Any, ClassVar
 import pytest
 from click.testing import CliRunner
 
+from baselines.rounds.estimate import estimate
+from baselines.rounds.plan import load_plan
 from evaluator.cli.main import cli
-from evaluator.engines import engine_names, make_engine
+from evaluator.engines import engine_names, make_engine, worker_count
 from evaluator.engines.inline import InlineEngine
 from evaluator.engines.registry import GROUP
 from evaluator.runner import run_evaluation
 from rema_data.errors import InputError
+from tests.baselines.rounds.fakes import write_plan
 from tests.evaluator.fakes import fake_backend, fake_config
 
 
@@ -23,10 +26,16 @@ class OwnEngine(InlineEngine):
     place = "cluster"
     workers = 5
     made: ClassVar[list[dict[str, Any]]] = []
+    open: ClassVar[set[OwnEngine]] = set()
 
     def __init__(self, factory: str, workers: int | None = None, *, address: str | None = None) -> None:
         super().__init__(factory)
         self.made.append({"workers": workers, "address": address})
+        self.open.add(self)
+
+    def close(self) -> None:
+        super().close()
+        self.open.discard(self)
 
 
 @pytest.fixture
@@ -44,6 +53,15 @@ def test_an_engine_of_another_package_runs_an_evaluation(own: None, fake_home: P
     config = fake_config(fake_home / "run", engine="own", address="here:1", episodes=5, audit_share=0.0)
     assert run_evaluation(config, backend=fake_backend()).summary["episodes"] == 5
     assert OwnEngine.made[-1] == {"workers": 2, "address": "here:1"}
+
+
+def test_no_engine_stays_open(own: None, fake_home: Path) -> None:
+    """One on a cluster would keep this process in it: a later engine would use that one, whatever its address."""
+    OwnEngine.open.clear()
+    assert worker_count("own") == 5
+    run_evaluation(fake_config(fake_home / "run", engine="own", episodes=5), backend=fake_backend())
+    estimate(load_plan(write_plan(fake_home)), engine="own", backend=fake_backend())
+    assert not OwnEngine.open
 
 
 def test_an_unknown_name_lists_what_is_installed(own: None) -> None:

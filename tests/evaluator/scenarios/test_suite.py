@@ -95,6 +95,19 @@ def test_a_suite_is_written_once_and_read_back(few: Path) -> None:
         suite_length("soft-v1", "grasp", "test")
 
 
+@pytest.mark.parametrize("size", [{"test": 0, "val": 2}, {"test": 3, "val": -1}, {"test": 1112, "val": 2}])
+def test_a_size_that_the_clean_lists_do_not_have(few: Path, size: dict[str, int]) -> None:
+    """The clean scenarios of an axis begin where those of the axes before it end: the last one here is the ninth."""
+    most = {"test": 10_000 // 9, "val": 2_000 // 9}
+    assert max(AXES[cell.axis].number for cell in cells("push") if cell.axis in ("sense", "act")) == 8
+    wrong = "val" if size["val"] < 1 else "test"
+    with pytest.raises(InputError, match=f"of push/{wrong}: a cell has 1 to {most[wrong]}"):
+        draw_suite("wrong", InThisProcess(), ["push"], size)
+    assert "wrong" not in versions()
+    with pytest.raises(KeyboardInterrupt):  # the largest size is drawn
+        draw_suite("largest", _Interrupted(0), ["push"], most)
+
+
 def test_workers_change_nothing(few: Path) -> None:
     with ProcessPoolExecutor(2) as pool:
         one = draw_suite("one", InThisProcess(), ["grasp"], {"val": 2})

@@ -10,11 +10,14 @@ from typing import Any
 
 import pytest
 
+from evaluator.render.film import FilmMaker
 from evaluator.sim.parameters import WORLD
 from evaluator.view import Viewer, open_source, video
 from evaluator.view.recording import write_recording
+from evaluator.view.source import takes
 from evaluator.view.video import write_video
 from rema_data.errors import InputError
+from rema_data.progress import Silent
 
 WRITERS = {".mp4": write_video, ".rrd": write_recording}
 
@@ -49,6 +52,40 @@ def test_a_recording_can_be_read(pushes: Viewer, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     for entity in ("/scene", "/end_effector/state_2/mask", "/world/action", "/world/objects/target_0", "/step"):
         assert entity in done.stdout
+
+
+class Notes(Silent):
+    """Keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
+
+
+def test_an_episode_that_ends_earlier_here_is_not_continued(
+    viewer: Viewer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another simulator may fail a step after which others are recorded: no step is shown in place of another one."""
+    pytest.importorskip("av")
+    pytest.importorskip("rerun")
+    monkeypatch.setattr(video, "SIZE", (160, 120))
+    source, name = viewer.source, viewer.rows("task=grasp_push&outcome=success")["rows"][0]["id"]
+    place = viewer.place(name)
+    first, second = source.steps(place)
+    with FilmMaker() as films:
+        ended = source.take(place, first.number, films)
+        monkeypatch.setattr(source, "take", lambda *_: ended)
+        told = Notes()
+        assert list(takes(source, place, [first, second], films, told)) == [(first, ended)]
+        sentence = f"played again here, {name} ends at step 1: the later steps that are recorded are left out"
+        assert told.notes == [sentence]
+    told = Notes()
+    assert write_recording(viewer, name, tmp_path / "a.rrd", told) == 1 and told.notes == [sentence]
+    frames = write_video(viewer, name, tmp_path / "a.mp4", told)
+    monkeypatch.setattr(source, "steps", lambda _: [first])
+    assert frames == write_video(viewer, name, tmp_path / "b.mp4", told) and told.notes == [sentence] * 2
 
 
 @pytest.mark.parametrize("suffix", WRITERS)

@@ -15,6 +15,7 @@ import pytest
 from rema_data.convert import export_release, find_format, import_release
 from rema_data.convert.folders import FolderFormat, NewDataset
 from rema_data.convert.pieces import Piece
+from rema_data.convert.tfrecord import byte_lists, read_records
 from rema_data.errors import InputError, IntegrityError, MissingFileError, RemaError, RunMismatchError, StorageError
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.manifest import BlockEntry
@@ -101,8 +102,42 @@ def test_a_table_that_was_not_copied_as_it_is_leaves_no_export(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_file_that_goes_while_it_is_read_is_named(
+    release: ReleaseFolder, exports: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And not the export, or the release, that is written meanwhile."""
+    gone = tmp_path / "gone"
+
+    def read(*_: Any) -> Any:
+        return gone.read_bytes()
+
+    with monkeypatch.context() as patch:
+        patch.setattr(NewDataset, "pieces", read)
+        with pytest.raises(MissingFileError, match=f"does not exist: {gone}"):
+            export_release(release, tmp_path, "rlds", tasks=["grasp"])
+    monkeypatch.setattr("rema_data.convert.inbound._write_blocks", read)
+    with pytest.raises(MissingFileError, match=f"does not exist: {gone}"):
+        import_release([exports / "rlds"], tmp_path, "part")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_there_are_formats_of_folders() -> None:
     assert FOLDERS == ["hf", "lerobot", "minari", "rlds"]
+
+
+def test_rlds_has_the_facts_of_every_episode(exports: Path, release: ReleaseFolder) -> None:
+    """Null is an empty text; a root seed of 0, which is that of this release, is none."""
+    names = ("split", "seed", "failure")
+    (block,) = [entry for entry in release.manifest.blocks if entry.key.path == "round-1/grasp/train"]
+    rows = release.block(block).episodes().to_pylist()
+    assert {row["seed"] for row in rows} == {0} and {row["failure"] is None for row in rows} == {True, False}
+    (path,) = (exports / "rlds").rglob("*-train.tfrecord-*")
+    with path.open("rb") as file:
+        found = [
+            byte_lists(record, [f"episode_metadata/{name}" for name in names]) for record in read_records(file, 1 << 24)
+        ]
+    texts = [tuple(lists[f"episode_metadata/{name}"][0].decode() for name in names) for lists in found]
+    assert texts == [("train", "0", row["failure"] or "") for row in rows]
 
 
 def test_the_format_need_not_be_named(dataset: Path, release: ReleaseFolder, tmp_path: Path) -> None:
