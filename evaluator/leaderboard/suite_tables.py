@@ -12,9 +12,8 @@ from evaluator.leaderboard.board import Board
 from evaluator.leaderboard.escape import to_csv, to_markdown
 from evaluator.leaderboard.export import markdown_table
 from evaluator.leaderboard.suites import SuiteRow
-from evaluator.scenarios.suites import suites
+from evaluator.scenarios.suites import check_suite
 from evaluator.statistics import format_interval, percent
-from rema_data.errors import InputError
 from rema_data.schema import TASKS
 
 __all__ = ["SUITE_FORMATS", "SuiteTable", "rows_of_suite", "share", "suite_tables", "trained"]
@@ -31,10 +30,7 @@ class SuiteTable:
 
 def rows_of_suite(board: Board, suite: str) -> list[SuiteRow]:
     """The rows of a suite, by task, training and ``hard``; InputError for a suite that is not here."""
-    if suite not in suites():
-        raise InputError(
-            f"there is no suite {suite!r}", hint=f"choose one of: {', '.join(suites()) or 'none is here'}", suite=suite
-        )
+    check_suite(suite)
     order = list(TASKS)
     return sorted(
         (row for row in board.suites if row.suite == suite), key=lambda row: (order.index(row.task), row.adapted)

@@ -66,6 +66,7 @@ def write_video(viewer: Viewer, name: str, path: Path, progress: Progress | None
     if not steps:
         raise InputError(f"no step of {name} has an action", hint="choose another episode")
     rate = Fraction(round(1 / WORLD.time_step_s), SHOT_EVERY * _SHOTS)
+    to_frame: Any = av.VideoFrame.from_image  # PyAV does not declare its type
     buffer = io.BytesIO()
     frames = 0
     progress.phase("film", len(steps))
@@ -76,7 +77,7 @@ def write_video(viewer: Viewer, name: str, path: Path, progress: Progress | None
         for _, take in takes(viewer.source, place, steps, films, progress):
             for picture, count in _pictures(studio, take, name, rate):
                 for _ in range(count):
-                    container.mux(stream.encode(av.VideoFrame.from_image(picture)))
+                    container.mux(stream.encode(to_frame(picture)))
                 frames += count
                 check()
             progress.advance(1)
