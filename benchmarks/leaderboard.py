@@ -29,9 +29,12 @@ NOTE = (
     "Success, % [95 % interval], over the 10,000 test scenarios of a task. Policies of one column that share a letter "
     "do not differ significantly (paired tests on the same scenarios, adjusted for their number). `privileged`: the "
     "policy saw the ground truth. `learned checkpoint`: one training, not a method "
-    "([docs/statistics.md](docs/statistics.md#checkpoints-and-methods)). `not verified`: an entry of an earlier form, "
-    "without its actions: it cannot be verified, so it has no letters. `published`: the paper's rates, from other "
-    "scenes and another simulator. `rema leaderboard` shows the rest."
+    "([docs/statistics.md](docs/statistics.md#checkpoints-and-methods)). `published`: the paper's rates, from other "
+    "scenes and another simulator. An empty cell: not scored yet. `rema leaderboard` shows the rest."
+)
+UNVERIFIED = (
+    " `not verified`: an entry of an earlier form, without its actions, of networks that were trained on rema-v0. It "
+    "cannot be verified, so it has no letters, and does not compare with the row of its name above."
 )
 HARD = (
     " `hard`: the mean over the axes of [the generalisation suite](docs/suite.md), with letters of its own; `-`: not "
@@ -44,13 +47,14 @@ def section() -> str:
     board = leaderboard(find_entries())
     for error in board.refused:
         raise error
-    parts, note = [], NOTE
+    parts, notes = [], [NOTE]
     for protocol in PROTOCOLS:
         header, lines = matrix(board, protocol)
         if lines:
             parts += [f"**{protocol.capitalize()}**", markdown_table(header, [map(to_markdown, one) for one in lines])]
-            note = NOTE + HARD if any(name.endswith(" hard") for name in header) else note
-    return "\n\n".join([*parts, note])
+            notes += [UNVERIFIED] * any("not verified" in line[1] for line in lines)
+            notes += [HARD] * any(name.endswith(" hard") for name in header)
+    return "\n\n".join([*parts, "".join(dict.fromkeys(notes))])
 
 
 def replace_section(text: str, content: str) -> str:
