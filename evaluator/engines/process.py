@@ -26,6 +26,8 @@ _LOW_WATER = 15
 _PAUSE_S = 0.05
 """At most, between two looks at workers that all have more than that to do: every result would wake this process, which
 takes a core from a worker for longer than it needs to read the result."""
+_START_S = 120.0
+"""A worker may be silent for so long while it starts, however little an episode may take."""
 _FAILED_STARTS = 3
 """After so many workers in a row that died before they were ready, no more are started."""
 
@@ -60,8 +62,8 @@ class _Worker(Child):
 class ProcessEngine:
     """Runs batches in worker processes, one simulator each; by default on every core that this process may use.
 
-    A worker that is silent for ``episode_limit_s`` within one episode (or while it starts) is killed. One whose
-    resident memory grew by more than ``growth_limit_bytes`` is replaced between batches.
+    A worker that is silent for ``episode_limit_s`` within one episode is killed; while it starts, for two minutes if
+    that is more. One whose resident memory grew by more than ``growth_limit_bytes`` is replaced between batches.
 
     A dead worker's unfinished jobs go to others. The job it died in is tried again, first and alone in a fresh worker;
     if that dies too, the job's result is an ``InfraError`` and the run goes on. The cost beside the simulator is one
@@ -149,20 +151,23 @@ class ProcessEngine:
         if spare > 0:
             time.sleep(min(_PAUSE_S, spare * self._job_s))
         busy = [worker for worker in self._seats.values() if worker.jobs]
-        deadline = min(worker.heard for worker in busy) + self._limit_s
+        deadline = min(worker.heard + self._silence_s(worker) for worker in busy)
         by_channel = {worker.channel: worker for worker in self._seats.values()}
         interrupts.check()
         for channel in wait(list(by_channel), min(interrupts.POLL_S, max(0.0, deadline - time.monotonic()))):
             self._read(by_channel[channel], results)  # type: ignore[index]
         now = time.monotonic()
         for worker in list(self._seats.values()):
-            if worker.jobs and now - worker.heard > self._limit_s:
-                self._lose(worker, results, "hung", f"no sign of life for {self._limit_s:g} s")
+            if worker.jobs and now - worker.heard > (limit_s := self._silence_s(worker)):
+                self._lose(worker, results, "hung", f"no sign of life for {limit_s:g} s")
             elif not worker.jobs and worker.retiring:
                 self._remove(worker, grace_s=1.0)
         if results:
             self._job_s = sum(result.seconds for result in results) / len(results)
         return results
+
+    def _silence_s(self, worker: _Worker) -> float:
+        return self._limit_s if worker.ready else max(self._limit_s, _START_S)
 
     def _read(self, worker: _Worker, results: list[JobResult]) -> None:
         try:
