@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from pathlib import Path
 
 from evaluator.leaderboard.published import published_table
-from evaluator.policy.loading import resolve, weights_of
+from evaluator.policy.loading import PolicySpec, resolve, weights_of
 from evaluator.policy.named import KINDS, PRIVILEGED_KINDS, find_named, is_adapted, is_reserved, policy_names
 from evaluator.policy.sandbox.snapshot import digest
 from evaluator.run.run import Run
@@ -55,7 +56,6 @@ def _installed_problem(run: Run, name: str) -> str:
     return "" if own or run.kind == "run" else f"{name!r} has no weights of its own: choose another name"
 
 
-@lru_cache(maxsize=32)
 def installed_digest(name: str, task: str) -> str:
     """Digest of the installed policy of that name, with its own weights for a task; empty where it has none."""
     try:
@@ -63,6 +63,11 @@ def installed_digest(name: str, task: str) -> str:
         weights = weights_of(spec, None, task)
         if weights is None and spec.named is not None and spec.named.kind == "learned":
             return ""
-        return digest(spec, weights)
+        return _digest(spec, weights)
     except RemaError:
         return ""
+
+
+@lru_cache(maxsize=32)
+def _digest(spec: PolicySpec, weights: Path | None) -> str:
+    return digest(spec, weights)

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import pytest
@@ -24,7 +25,9 @@ def test_a_worker_that_is_killed_leaves_nothing(tmp_path: Path, monkeypatch: pyt
     (folder,) = tmp_path.iterdir()
     environment = Path(f"/proc/{child.process.pid}/environ")
     if environment.exists():
-        assert f"TMPDIR={folder}".encode() in environment.read_bytes().split(b"\0")
+        while not (found := environment.read_bytes()):  # as long as it begins
+            time.sleep(0.01)
+        assert f"TMPDIR={folder}".encode() in found.split(b"\0")
     (folder / "rema-model-12345678").mkdir()
     child.stop()
     assert list(tmp_path.iterdir()) == []
