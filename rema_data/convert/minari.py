@@ -113,7 +113,7 @@ class _Maps:
 
     def __init__(self, file: h5py.File) -> None:
         self._file = file
-        self._unpacked: dict[bytes, Array] = {}
+        self._unpacked: dict[tuple[np.dtype[Any], int, bytes], Array] = {}
 
     def __call__(self, episode: int) -> tuple[Array, Array]:
         """Scenes and end effectors of the steps of an episode, without the last one, which is there twice."""
@@ -124,7 +124,7 @@ class _Maps:
         return scenes[:-1][..., None], np.concatenate([self._hand(hands, step) for step in range(len(hands) - 1)])
 
     def _hand(self, stored: h5py.Dataset, step: int) -> Array:
-        _, packed = stored.id.read_direct_chunk((step, *(0,) * (stored.ndim - 1)))
+        packed = stored.dtype, *stored.id.read_direct_chunk((step, *(0,) * (stored.ndim - 1)))
         if packed not in self._unpacked:
             if len(self._unpacked) >= _KEPT_MAPS:
                 self._unpacked.clear()
