@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from rema_data.heights import HEIGHT_OFFSET_M, HEIGHT_OFFSET_STEPS, MISSING, dequantise, unpack_mask
+from rema_data.loader.decode import row_bytes
 from rema_data.release.datasheet import column_table
 from rema_data.release.manifest import BlockEntry, FileEntry, Manifest
+from rema_data.release.registry import load_published
 from rema_data.schema import HEIGHT_STEP_M, TASKS, Failure
 from rema_data.store.block import BlockKey, BlockReader
 from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS, Column
@@ -35,6 +37,22 @@ def section(title: str) -> str:
 def test_every_column_is_described_as_in_the_code(columns: tuple[Column, ...]) -> None:
     wanted = column_table(columns)
     assert wanted in PAGE, f"put this table into docs/dataset.md:\n{wanted}"
+
+
+def test_the_releases_have_the_sizes_of_their_manifests() -> None:
+    found = {line[0].split("`")[1]: line for line in rows(section("Releases and blocks")) if "rema-" in line[0]}
+    assert len(found) == 4
+    for name, line in found.items():
+        counts = load_published(name).counts
+        maps = {"scene": counts["steps"]} | dict.fromkeys(("ee_depth", "ee_mask"), counts["end_effectors"])
+        decoded = sum(count * row_bytes(array) for array, count in maps.items())
+        stored = f"{counts['bytes'] / 1e6:.{0 if counts['bytes'] > 1e7 else 1}f} MB"
+        assert (*line[1:3], *line[4:]) == (
+            f"{counts['episodes']:,}",
+            f"{counts['steps']:,}",
+            stored,
+            f"{decoded / 1e9:.1f} GB",
+        )
 
 
 def test_the_arrays_are_those_of_the_code() -> None:
