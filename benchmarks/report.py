@@ -44,6 +44,7 @@ SECTIONS = {
     "size": "Size of a release",
     "codecs": "Codecs of the maps",
     "download": "Download",
+    "formats": "Exports and imports",
     "robomimic_reader": "Exported files in robomimic's own reader",
     "lerobot_reader": "Exported datasets in LeRobot's own reader",
     "minari_reader": "Exported datasets in Minari and its environments",

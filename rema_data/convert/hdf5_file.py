@@ -79,15 +79,16 @@ class _Sink(io.RawIOBase):
 
 
 @contextmanager
-def new_file(path: Path) -> Iterator[tuple[h5py.File, Callable[[], None], Written]]:
+def new_file(path: Path) -> Iterator[tuple[Written, Callable[[], None]]]:
     """As ``storage.new_file``, for HDF5; and a function that raises the OSError of the first refused write.
 
-    What the block notes in ``Written`` is read back before the file gets its name.
+    All parts are read back before the file gets its name.
     """
     with storage.new_file(path) as file:
-        sink, written = _Sink(file.raw), Written()
+        sink = _Sink(file.raw)
         with h5py.File(sink, "w", libver=_LIBVER) as root:
-            yield root, sink.check, written
+            written = Written(root)
+            yield written, sink.check
         sink.check()
         if (where := written.differs(Path(file.name))) is not None:
             raise storage.not_written(path, where)

@@ -1,24 +1,21 @@
 """Writes blocks of one task as a Minari dataset; see ``minari`` for the layout.
 
 A map is compressed once and stored as it is wherever it occurs: most hands are bare, and the last observation of an
-episode is there twice. HDF5 is called below h5py, which needs longer for an episode than for its maps.
+episode is there twice.
 """
 
 from __future__ import annotations
 
 import json
 import zlib
-from collections.abc import Sequence
-from functools import cached_property
 from typing import Any
 
-import h5py
 import numpy as np
 import numpy.typing as npt
 
 from rema_data.convert.folders import NewDataset
 from rema_data.convert.hdf5_file import new_file
-from rema_data.convert.hdf5_written import Written
+from rema_data.convert.hdf5_written import MapForm, Written
 from rema_data.convert.layout import INSTRUCTIONS, obs_of_end_effectors, obs_of_scenes, trajectory
 from rema_data.convert.pieces import Piece
 from rema_data.grid import ACTIONS, EE_PIXELS, SCENE_PIXELS
@@ -44,7 +41,9 @@ HIGHEST_M = 0.05
 _MINARI = "0.5.3"
 """The version whose layout this is."""
 _LEVEL = 6
-_OUTCOME, _TEXT = "S24", h5py.string_dtype()
+_SCENE = MapForm((SCENE_PIXELS, SCENE_PIXELS), "<f4", _LEVEL)
+_HAND = MapForm((EE_PIXELS, EE_PIXELS, 4), "<f4", _LEVEL)
+_OUTCOME = "S24"
 
 
 def environment(task: str) -> dict[str, Any]:
@@ -114,93 +113,37 @@ def _box(low: Array, high: Array) -> dict[str, Any]:
 
 def write_episodes(dataset: NewDataset) -> None:
     """Write ``main_data.hdf5``; OSError where the disk refuses."""
-    with new_file(dataset.folder / MAIN) as (root, check, written):
-        writer = _Writer(root.id, written)
+    with new_file(dataset.folder / MAIN) as (written, check):
+        count = 0
         for block in dataset.blocks:
             for piece in dataset.pieces(block):
-                writer.write(piece)
+                count = _write_piece(written, piece, count)
                 check()
 
 
-class _Writer:
-    """Writes episodes and counts them."""
-
-    def __init__(self, root: h5py.h5g.GroupID, written: Written) -> None:
-        self._root, self._written = root, written
-        self._count = 0
-        self._scalar = h5py.h5s.create(h5py.h5s.SCALAR)
-        self._untimed = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-        self._untimed.set_obj_track_times(False)
-        self._untimed_group = h5py.h5p.create(h5py.h5p.GROUP_CREATE)
-        self._untimed_group.set_obj_track_times(False)  # equal exports are equal bytes
-
-    def write(self, piece: Piece) -> None:
-        """Append the episodes of a piece."""
-        maps, about = piece.maps, trajectory(piece.steps)
-        scenes = [zlib.compress(scene, _LEVEL) for scene in obs_of_scenes(maps.scene, "metres")]
-        hands = [zlib.compress(hand, _LEVEL) for hand in obs_of_end_effectors(maps.ee_depth, maps.ee_mask, "metres")]
-        outcomes = np.array(
-            ["success" if text is None else text for text in piece.steps["failure"].to_pylist()], _OUTCOME
-        )
-        for row in piece.episodes.to_pylist():
-            steps = range(row["first_step"], row["first_step"] + row["steps"])
-            shown = [*steps, steps[-1]]
-            at = slice(steps.start, steps.stop)
-            group = self._group(self._root, f"episode_{self._count}")
-            self._attributes(group, row)
-            seen = self._group(group, "observations")
-            self._packed(seen, "scene", [scenes[n] for n in shown], self._scene)
-            self._packed(seen, "end_effector", [hands[maps.ee_row[n]] for n in shown], self._hand)
-            self._array(seen, "step", np.array([*range(row["steps"]), row["steps"] - 1]))
-            self._array(group, "actions", about["grid_index"][at])
-            self._array(group, "rewards", about["rewards"][at].astype(np.float64))
-            self._array(group, "terminations", about["dones"][at].astype(bool))
-            self._array(group, "truncations", np.zeros(row["steps"], bool))
-            infos = self._group(group, "infos")
-            self._array(infos, "outcome", np.concatenate([np.zeros(1, _OUTCOME), outcomes[at]]))
-            self._array(infos, "is_success", np.concatenate([[False], about["rewards"][at] > 0]))
-            self._count += 1
-
-    def _attributes(self, group: h5py.h5g.GroupID, row: dict[str, Any]) -> None:
+def _write_piece(written: Written, piece: Piece, count: int) -> int:
+    """Append the episodes of a piece to so many that are there; how many there are then."""
+    maps, about = piece.maps, trajectory(piece.steps)
+    scenes = [zlib.compress(scene, _LEVEL) for scene in obs_of_scenes(maps.scene, "metres")]
+    hands = [zlib.compress(hand, _LEVEL) for hand in obs_of_end_effectors(maps.ee_depth, maps.ee_mask, "metres")]
+    outcomes = np.array(["success" if text is None else text for text in piece.steps["failure"].to_pylist()], _OUTCOME)
+    for number, row in enumerate(piece.episodes.to_pylist(), count):
+        steps = range(row["first_step"], row["first_step"] + row["steps"])
+        shown = [*steps, steps[-1]]
+        at = slice(steps.start, steps.stop)
+        group = written.group(written.root, f"episode_{number}")
         facts = {"split": row["split"], "failure": row["failure"] or "", "options/scenario": scenario_name(row)}
-        numbers = {"id": self._count, "total_steps": row["steps"], "round": row["round"], "success": row["success"]}
-        for name, fact in (facts | numbers).items():
-            value = np.array(fact, _TEXT if isinstance(fact, str) else None)
-            kind = h5py.h5t.py_create(value.dtype, logical=True)
-            h5py.h5a.create(group, name.encode(), kind, self._scalar).write(value)
-
-    def _group(self, parent: h5py.h5g.GroupID, name: str) -> h5py.h5g.GroupID:
-        return h5py.h5g.create(parent, name.encode(), gcpl=self._untimed_group)
-
-    def _array(self, parent: h5py.h5g.GroupID, name: str, array: Array) -> None:
-        space = h5py.h5s.create_simple(array.shape)
-        kind = h5py.h5t.py_create(array.dtype, logical=True)
-        h5py.h5d.create(parent, name.encode(), kind, space, dcpl=self._untimed).write(
-            h5py.h5s.ALL, h5py.h5s.ALL, np.ascontiguousarray(array)
-        )
-        self._written.array(f"{h5py.h5i.get_name(parent).decode()}/{name}", array)
-
-    @cached_property
-    def _scene(self) -> tuple[tuple[int, ...], Any]:
-        return self._chunks(SCENE_PIXELS, SCENE_PIXELS)
-
-    @cached_property
-    def _hand(self) -> tuple[tuple[int, ...], Any]:
-        return self._chunks(EE_PIXELS, EE_PIXELS, 4)
-
-    def _chunks(self, *shape: int) -> tuple[tuple[int, ...], Any]:
-        """Shape of a map, and how arrays of it are stored: a map a chunk."""
-        properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-        properties.set_obj_track_times(False)
-        properties.set_chunk((1, *shape))
-        properties.set_deflate(_LEVEL)
-        return shape, properties
-
-    def _packed(
-        self, parent: h5py.h5g.GroupID, name: str, maps: Sequence[bytes], form: tuple[tuple[int, ...], Any]
-    ) -> None:
-        shape, properties = form
-        space = h5py.h5s.create_simple((len(maps), *shape))
-        made = h5py.h5d.create(parent, name.encode(), h5py.h5t.IEEE_F32LE, space, dcpl=properties)
-        for number, data in enumerate(maps):
-            made.write_direct_chunk((number, *(0 for _ in shape)), data)
+        numbers = {"id": number, "total_steps": row["steps"], "round": row["round"], "success": row["success"]}
+        written.attributes(group, facts | numbers)
+        seen = written.group(group, "observations")
+        written.maps(seen, "scene", [scenes[n] for n in shown], _SCENE)
+        written.maps(seen, "end_effector", [hands[maps.ee_row[n]] for n in shown], _HAND)
+        written.array(seen, "step", np.array([*range(row["steps"]), row["steps"] - 1]))
+        written.array(group, "actions", about["grid_index"][at])
+        written.array(group, "rewards", about["rewards"][at].astype(np.float64))
+        written.array(group, "terminations", about["dones"][at].astype(bool))
+        written.array(group, "truncations", np.zeros(row["steps"], bool))
+        infos = written.group(group, "infos")
+        written.array(infos, "outcome", np.concatenate([np.zeros(1, _OUTCOME), outcomes[at]]))
+        written.array(infos, "is_success", np.concatenate([[False], about["rewards"][at] > 0]))
+    return count + len(piece.episodes)

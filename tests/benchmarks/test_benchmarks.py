@@ -169,3 +169,12 @@ def test_the_committed_pages_are_made_from_the_committed_results(tmp_path: Path)
     done = run("calibration_report", "--page", str(copy))
     assert done.returncode == 0, done.stderr
     assert copy.read_text(encoding="utf-8") == (ROOT / "docs" / "calibration.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.benchmark
+def test_formats_there_and_back(tmp_path: Path) -> None:
+    content = measured(tmp_path, "formats", "--release", "rema-sample", "--task", "push")
+    assert {"hdf5", "lerobot", "minari", "rlds", "hf"} <= content["numbers"].keys()
+    assert all(found["import"]["differences"] == 0 for found in content["numbers"].values())
+    assert content["targets"][0]["reached"]
+    assert "## Exports and imports" in page(tmp_path)
