@@ -7,9 +7,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from baselines.rounds.collect import Collected, collect
 from baselines.rounds.plan import load_plan
-from tests.evaluator.fakes import fake_backend
+from baselines.rounds.work import work_path
+from tests.evaluator.fakes import FakePolicyProcess, fake_backend
 
 PLAN = """
 name = "tiny"
@@ -55,6 +58,27 @@ def tree(folder: Path) -> dict[str, str]:
         for path in sorted(folder.rglob("*"))
         if path.is_file()
     }
+
+
+class _Stopper(FakePolicyProcess):
+    """Presses Ctrl-C in the middle of an answer."""
+
+    def __init__(self, after: int) -> None:
+        super().__init__()
+        self.left = after
+
+    def act(self, batch: Any, situations: Any) -> list[Any]:
+        self.left -= 1
+        if self.left < 0:
+            raise KeyboardInterrupt
+        return super().act(batch, situations)
+
+
+def interrupted(plan: Path, output: Path, after: int, **backend: Any) -> Path:
+    """The work folder of a collection that was interrupted after so many answers of its policy."""
+    with pytest.raises(KeyboardInterrupt):
+        collect_fake(plan, output, backend=fake_backend(_Stopper(after), **backend))
+    return work_path(output, "tiny")
 
 
 def main(plan: str, output: str, engine: str) -> None:
