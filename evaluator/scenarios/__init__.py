@@ -1,6 +1,7 @@
 """Frozen scenario lists: reading them, drawing them, tools that a policy picked, and strata.
 
-Read in this order: ``lists`` (reading and writing), ``generation`` and ``policy_picks`` (drawing), ``strata``.
+Read in this order: ``table`` and ``lists`` (reading and writing), ``generation`` and ``policy_picks`` (drawing),
+``strata``.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ from evaluator.scenarios.lists import (
     SPLITS,
     VERSION,
     ScenarioList,
-    encode_list,
     installed_list,
     list_length,
     load_list,
@@ -19,6 +19,7 @@ from evaluator.scenarios.lists import (
     versions,
     write_list,
 )
+from evaluator.scenarios.table import encode_list
 
 __all__ = [
     "SPLITS",

@@ -13,7 +13,7 @@ import json
 from pathlib import Path
 
 from evaluator.scenarios.generation import Drawn
-from evaluator.scenarios.lists import decode_list, encode_list
+from evaluator.scenarios.table import decode_list, encode_list
 from rema_data.storage import write_atomic
 
 __all__ = ["keep", "kept", "work_folder"]

@@ -14,8 +14,8 @@ from evaluator.leaderboard.published import published_table
 from evaluator.run.records import Answered, Ledger, Simulated
 from evaluator.runner.observation_cache import ObservationCache
 from evaluator.scenarios import load_list, update_manifest, write_list
-from evaluator.scenarios.lists import decode_list
 from evaluator.scenarios.suites import cells_of, suite_length
+from evaluator.scenarios.table import decode_list
 from evaluator.sim.observation import observation_sha256, observe
 from rema_data.schema import Failure, Scenario, StepOutcome
 from tests.evaluator.fakes import fake_observe, fake_scenario

@@ -12,7 +12,8 @@ import pytest
 from evaluator.cli.evaluate import evaluate
 from evaluator.run.header import resume_command
 from evaluator.scenarios.fresh import fresh_version
-from evaluator.scenarios.lists import VERSION, encode_list, installed_list, manifest_path, update_manifest
+from evaluator.scenarios.lists import VERSION, installed_list, manifest_path, update_manifest
+from evaluator.scenarios.table import encode_list
 from tests.evaluator.fakes import fake_scenario
 
 CLEAN, _ = installed_list("grasp", "val") or ("", 0)

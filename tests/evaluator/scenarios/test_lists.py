@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from evaluator.scenarios import VERSION, encode_list, lists, load_list, manifest_path, scenario_id, update_manifest
+from evaluator.scenarios import VERSION, encode_list, load_list, manifest_path, scenario_id, table, update_manifest
 from evaluator.scenarios.suites import cells_of
 from rema_data.errors import InputError, IntegrityError, MissingFileError
 from rema_data.repair import restore
@@ -121,14 +121,14 @@ def test_a_change_that_is_none_is_refused(
 ) -> None:
     write_suite(fake_home / "manifests")
     assert cells_of(load_list("grasp", "test", "tough-v1"))
-    monkeypatch.setattr(lists, "variation_text", lambda variation: stored(compact(variation) | changes))
+    monkeypatch.setattr(table, "variation_text", lambda variation: stored(compact(variation) | changes))
     write_suite(fake_home / "manifests", "odd-v1")
     with pytest.raises(IntegrityError, match=re.escape(words)):
         load_list("grasp", "test", "odd-v1")
 
 
 def test_an_axis_that_is_not_known_here_is_named(fake_home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lists, "variation_text", lambda variation: stored(compact(variation) | {"axis": "gravity"}))
+    monkeypatch.setattr(table, "variation_text", lambda variation: stored(compact(variation) | {"axis": "gravity"}))
     write_suite(fake_home / "manifests", "odd-v1")
     with pytest.raises(IntegrityError, match="an axis that is not known here: 'gravity'"):
         cells_of(load_list("grasp", "test", "odd-v1"))
