@@ -153,7 +153,7 @@ class _Recursion:
         return self.stage(entry, f"collect {entry.release}", started)
 
     def train(self, entry: RoundPlan, network: NetworkPlan) -> Stage:
-        started, release = time.perf_counter(), load(self.releases / entry.release)
+        started, release = time.perf_counter(), load(self.releases / entry.release, progress=self.progress)
         where = network.config, self.networks / network.folder, network.name
         already = trained(release, *where) is not None
         if not already:

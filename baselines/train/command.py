@@ -174,8 +174,10 @@ def train(
         require_matplotlib()
     trainings = {output / f"seed-{seed}": replace(first, seed=seed) for seed in seeds} or {output: first}
     results = []
+    with StderrProgress(in_bytes=True) as decoding:
+        opened = load(release, progress=decoding)
+        _ = opened.cache  # decoded here, where this takes time
     with StderrProgress() as progress:
-        opened = load(release)
         for folder, config in trainings.items():
             done = run(opened, config, folder, chosen, device=device, deterministic=deterministic, progress=progress)
             results.append(done)

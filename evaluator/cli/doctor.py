@@ -8,6 +8,7 @@ import click
 
 from evaluator.cli.options import json_option
 from evaluator.cli.output import line, note, print_answer, print_table
+from evaluator.cli.progress import StderrProgress
 from rema_data.errors import IntegrityError
 
 if TYPE_CHECKING:
@@ -32,7 +33,8 @@ def doctor(ctx: click.Context, seconds: float, check_caches: bool, prune: bool, 
     from rema_data.doctor import diagnose
     from rema_data.doctor import prune as delete
 
-    found = diagnose(seconds, note, check_caches)
+    with StderrProgress(in_bytes=True) as progress:
+        found = diagnose(seconds, progress, check_caches)
     if prune:
         for item in delete(found.disposable):
             note(f"deleted {item.path} ({item.state}, {_megabytes(item.bytes)} MB)")

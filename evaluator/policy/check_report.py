@@ -127,8 +127,8 @@ def time_result(each_s: float, batch: int) -> CheckResult:
     """Whether an evaluation has the time for a policy that takes ``each_s`` for a decision in batches of ``batch``."""
     found = f"{_duration(each_s)} a decision, {_duration(SCENARIOS * each_s)} for {SCENARIOS:,} scenarios"
     real = PolicyLimits()
-    if each_s * batch > real.batch_s or SCENARIOS * each_s > real.run_s + SCENARIOS * real.observation_s:
-        fix = f"answer a batch of {batch} within {real.batch_s:g} s: use a faster --device, or a smaller network"
+    if each_s * batch > real.seconds(batch) or SCENARIOS * each_s > real.run_s + SCENARIOS * real.observation_s:
+        fix = f"answer a batch of {batch} within {real.seconds(batch):g} s: use a faster --device, or a smaller network"
         return CheckResult("time", "refused", found, fix)
     if each_s > _SLOW_S:
         return CheckResult("time", "warning", found, "use a faster --device, or compute the batch as a whole")

@@ -166,7 +166,7 @@ class PolicyHost:
             return []
         self._asked += len(batch)
         shown = situations if self.privileged else None
-        answers = self._answers(batch, shown, self._limits.batch_s)
+        answers = self._answers(batch, shown, self._limits.seconds(len(batch)))
         if isinstance(answers, list):
             return answers
         level = logging.WARNING if self._warned < _WARNINGS else logging.DEBUG
@@ -181,7 +181,7 @@ class PolicyHost:
         on it.
         """
         self._asked += len(batch)
-        reply = self._exchange("maps", batch, None, self._limits.batch_s, len(batch) * _MAP_BYTES)
+        reply = self._exchange("maps", batch, None, self._limits.seconds(len(batch)), len(batch) * _MAP_BYTES)
         if isinstance(reply, PolicyFault):
             return reply
         header, arrays = reply

@@ -209,6 +209,8 @@ class Records:
     Attributes
     ----------
     answers : dict of (index, step) to Answered
+    faults : list of Answered
+        Those of the answers that are no action.
     outcomes : dict of (index, step) to Simulated
     contradictions : list of (index, step)
         Steps that were simulated twice with different outcomes: the world was not deterministic.
@@ -218,12 +220,16 @@ class Records:
 
     def __init__(self) -> None:
         self.answers: dict[tuple[int, int], Answered] = {}
+        self.faults: list[Answered] = []
         self.outcomes: dict[tuple[int, int], Simulated] = {}
         self.contradictions: list[tuple[int, int]] = []
         self.segment = 0
 
     def _keep_answer(self, record: Answered) -> bool:
-        return self.answers.setdefault((record.index, record.step), record) is record
+        first = self.answers.setdefault((record.index, record.step), record)
+        if first is record and record.action is None:
+            self.faults.append(record)
+        return first is record
 
     def _keep_outcome(self, record: Simulated) -> None:
         """Keep the first outcome, compare any second one, and let an outcome replace an infrastructure error."""

@@ -27,7 +27,7 @@ _BLOCK = 512
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """One question to the policy: ``rows`` of one ``block`` of the cache."""
+    """One question to the policy: ``rows`` of one ``block`` of the cache, which all questions of it share."""
 
     indices: tuple[int, ...]  # of the scenarios, in the order in which the policy is asked about them
     block: tuple[Situation, ...]  # names it in the cache
@@ -65,11 +65,16 @@ def shuffled(wanted: Sequence[Batch], salt: str) -> list[Batch]:
         pairs = sorted(zip(batch.indices, batch.rows, strict=True), key=lambda pair: rank(pair[0]))
         return Batch(tuple(index for index, _ in pairs), batch.block, tuple(row for _, row in pairs))
 
-    blocks: dict[tuple[Situation, ...], list[Batch]] = {}
+    in_order = sorted(_by_block(wanted), key=lambda batches: rank(batches[0].block[0]))
+    return [mixed(one) for batches in in_order for one in sorted(batches, key=lambda batch: rank(batch.indices[0]))]
+
+
+def _by_block(wanted: Sequence[Batch]) -> list[list[Batch]]:
+    """Questions of the same block together. A block is known by its place in memory: comparing takes long."""
+    blocks: dict[int, list[Batch]] = {}
     for batch in wanted:
-        blocks.setdefault(batch.block, []).append(batch)
-    in_order = sorted(blocks, key=lambda block: rank(block[0]))
-    return [mixed(batch) for block in in_order for batch in sorted(blocks[block], key=lambda one: rank(one.indices[0]))]
+        blocks.setdefault(id(batch.block), []).append(batch)
+    return list(blocks.values())
 
 
 def observe_batches(cache: ObservationCache, wanted: Sequence[Batch], progress: Progress) -> None:
@@ -77,7 +82,7 @@ def observe_batches(cache: ObservationCache, wanted: Sequence[Batch], progress: 
 
     An IntegrityError ends it at the first block that leaves no doubt that this machine makes other maps.
     """
-    blocks = list({batch.block: None for batch in wanted})
+    blocks = [batches[0].block for batches in _by_block(wanted)]
     progress.phase("observe", sum(len(block) for block in blocks))
     compared = others = 0
     for block in blocks:
@@ -133,7 +138,7 @@ def infer_batches(
 
 def check_faults(ledger: Ledger) -> None:
     """Raise a PolicyFailureError, with the first fault, where the policy failed on more answers than a run allows."""
-    faults = [answer for answer in ledger.answers.values() if answer.action is None]
+    faults = ledger.faults
     if len(faults) <= FAULT_LIMIT * len(ledger.answers):
         return
     first = faults[0]

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -188,7 +189,7 @@ def _read(path: Path, listed: _Entry, task: str, split: str) -> tuple[Scenario, 
     sha256, count = listed["sha256"], listed["count"]
     if not path.is_file():
         raise MissingFileError(f"scenario list {path} does not exist", hint=restore(path), path=str(path))
-    payload = path.read_bytes()
+    payload = path.read_bytes()  # hashed every time, decoded once
     got = hashlib.sha256(payload).hexdigest()
     if got != sha256:
         raise IntegrityError(
@@ -199,7 +200,7 @@ def _read(path: Path, listed: _Entry, task: str, split: str) -> tuple[Scenario, 
             got=got,
         )
     try:
-        return decode_list(payload, count, task, split)
+        return _decoded(payload, count, task, split)
     except OtherColumnsError as error:
         raise IntegrityError(
             f"scenario list {path}: {error}",
@@ -210,3 +211,7 @@ def _read(path: Path, listed: _Entry, task: str, split: str) -> tuple[Scenario, 
         raise IntegrityError(
             f"scenario list {path} cannot be read: {error}", hint=restore(path), path=str(path)
         ) from error
+
+
+_decoded = lru_cache(maxsize=8)(decode_list)
+"""A table of a suite takes seconds to decode, and a board asks for the same one for every run."""

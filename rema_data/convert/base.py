@@ -85,8 +85,8 @@ class Format(Protocol):
         """
         ...
 
-    def read(self, sources: Sequence[Path]) -> AbstractContextManager[Source]:
-        """Open files, or folders of files, of one export.
+    def read(self, sources: Sequence[Path], progress: Progress) -> AbstractContextManager[Source]:
+        """Open files, or folders of files, of one export; ``progress`` is for what has to be done before the blocks.
 
         Raises MissingFileError or InputError where there are none, or they belong to exports of different releases, and
         IntegrityError where a file is not whole or not an export; the blocks raise that too.

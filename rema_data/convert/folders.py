@@ -169,7 +169,7 @@ class FolderFormat(ABC):
                 progress.advance(piece.steps.num_rows)
 
     @contextmanager
-    def read(self, sources: Sequence[Path]) -> Iterator[Source]:
+    def read(self, sources: Sequence[Path], progress: Progress) -> Iterator[Source]:
         """See ``Format``."""
         folders = find_sealed(sources, self.name)
         yield _FolderSource(self, [open_sealed(folder, self.name, self.version) for folder in folders])

@@ -42,6 +42,6 @@ class Hdf5:
         tasks = dict.fromkeys(block.task for block in plan.blocks)
         return [write_file(plan, task, [b for b in plan.blocks if b.task == task], progress) for task in tasks]
 
-    def read(self, sources: Sequence[Path]) -> AbstractContextManager[Source]:
+    def read(self, sources: Sequence[Path], progress: Progress) -> AbstractContextManager[Source]:
         """See ``Format``."""
-        return open_source(expand(sources))
+        return open_source(expand(sources), progress)

@@ -13,6 +13,7 @@ import h5py
 from rema_data import storage
 from rema_data.convert.hdf5_written import Written
 from rema_data.errors import IntegrityError, MissingFileError, RemaError
+from rema_data.progress import Progress
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer, WriteableBuffer
@@ -79,7 +80,7 @@ class _Sink(io.RawIOBase):
 
 
 @contextmanager
-def new_file(path: Path) -> Iterator[tuple[Written, Callable[[], None]]]:
+def new_file(path: Path, progress: Progress) -> Iterator[tuple[Written, Callable[[], None]]]:
     """As ``storage.new_file``, for HDF5; and a function that raises the OSError of the first refused write.
 
     All parts are read back before the file gets its name.
@@ -90,7 +91,8 @@ def new_file(path: Path) -> Iterator[tuple[Written, Callable[[], None]]]:
             written = Written(root)
             yield written, sink.check
         sink.check()
-        if (where := written.differs(Path(file.name))) is not None:
+        progress.phase(f"check {path.stem}", len(written))
+        if (where := written.differs(Path(file.name), progress)) is not None:
             raise storage.not_written(path, where)
 
 

@@ -23,6 +23,8 @@ from rema_data.convert.layout import from_array, obs_dtype, stored_end_effectors
 from rema_data.convert.pieces import PIECE_STEPS, Piece
 from rema_data.errors import InputError, MissingFileError
 from rema_data.grid import EE_PIXELS, SCENE_PIXELS
+from rema_data.interrupts import check
+from rema_data.progress import Progress
 from rema_data.release.manifest import Manifest, parse_manifest
 from rema_data.repair import upgrade
 from rema_data.schema import TASKS
@@ -59,16 +61,19 @@ def expand(sources: Sequence[Path]) -> list[Path]:
 
 
 @contextmanager
-def open_source(paths: Sequence[Path]) -> Iterator[Hdf5Source]:
+def open_source(paths: Sequence[Path], progress: Progress) -> Iterator[Hdf5Source]:
     """Open all files of an export."""
     with ExitStack() as stack:
         files = []
+        progress.phase("look through", len(paths))
         for path in paths:
             if path.is_file() and not survives(path):
                 raise damaged(path, "the HDF5 library does not come to an end with it")
+            progress.advance(1)
+        for path in paths:
             root = stack.enter_context(open_file(path))
             with reading(path):
-                files.append(_File(path, root))
+                files.append(_File(path, root, progress))
         yield Hdf5Source(files)
 
 
@@ -113,7 +118,7 @@ class Hdf5Source:
 class _File:
     """One file of an export: its header, and which demos belong to which block."""
 
-    def __init__(self, path: Path, root: h5py.File) -> None:
+    def __init__(self, path: Path, root: h5py.File, progress: Progress) -> None:
         self.path = path
         self._root = root
         self._changed: defaultdict[str, list[str]] = defaultdict(list)
@@ -123,7 +128,8 @@ class _File:
         self.manifest = parse_manifest(values(root, "rema/manifest").tobytes(), f"inside {path}")
         card = members(part(root, "rema/card")) if has(root, "rema/card") else ()
         self.card = {str(file.attrs["path"]): values(file.parent, name).tobytes() for name, file in card}
-        self.demos = self._index()
+        self._versions: dict[BlockKey, int] = {}
+        self.demos = self._index(progress)
 
     def _header(self) -> Row:
         header = attributes(part(self._root, "rema")) if has(self._root, "rema") else {}
@@ -144,16 +150,20 @@ class _File:
             raise damaged(self.path, f"its maps are {header.get('maps')}, which is not known")
         return header
 
-    def _index(self) -> dict[BlockKey, list[tuple[str, Row]]]:
+    def _index(self, progress: Progress) -> dict[BlockKey, list[tuple[str, Row]]]:
         """Demos of every block with their columns, in the order of the episodes."""
         found: dict[BlockKey, list[tuple[str, Row]]] = {}
-        for name, demo in members(part(self._root, "data")):
+        data = part(self._root, "data")
+        progress.phase(f"index {self.path.name}", len(data))
+        for name, demo in members(data):
+            check()
+            progress.advance(1)
             if not _DEMO.fullmatch(name) or "episode" not in demo.attrs:
                 self._changed["not an episode of the release"].append(name)
                 continue
             row = self._episode(name, demo)
             key = BlockKey(row["round"], row["task"], row["split"])
-            if not has(self._root, f"rema/{key.path}"):
+            if key not in self._versions and not has(self._root, f"rema/{key.path}"):
                 raise self._contradiction(name, f"says that it belongs to {key.path}, which is not in the file")
             version = self._version_of(key)
             row.update((item.name, item.default) for item in EPISODE_COLUMNS if item.since > version)
@@ -190,8 +200,10 @@ class _File:
 
     def _version_of(self, key: BlockKey) -> int:
         """Schema version of a block: that of the release, unless it comes from an earlier one."""
-        version = attributes(part(self._root, f"rema/{key.path}")).get("schema_version", self._version)
-        return check_version(version, f"{self.path}, {key.path}")
+        if key not in self._versions:
+            version = attributes(part(self._root, f"rema/{key.path}")).get("schema_version", self._version)
+            self._versions[key] = check_version(version, f"{self.path}, {key.path}")
+        return self._versions[key]
 
     def _contradiction(self, name: str, why: str) -> Exception:
         return damaged(self.path, f"data/{name} {why}")

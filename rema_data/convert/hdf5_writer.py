@@ -52,7 +52,7 @@ def write_file(plan: ExportPlan, task: str, blocks: Sequence[BlockEntry], progre
                 )
     else:
         progress.phase(f"export {task}", steps)
-        with new_file(path) as (written, check):
+        with new_file(path, progress) as (written, check):
             _Writer(written, check, plan, progress).write(task, blocks)
             written.attributes(written.group(written.root, "rema"), identity)
     return ExportedFile(path, episodes, steps, path.stat().st_size, new)

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from h5py import h5a, h5d, h5g, h5i, h5o, h5p, h5s, h5t
 
 from rema_data.interrupts import check
+from rema_data.progress import Progress
 
 __all__ = ["MapForm", "Written"]
 
@@ -54,6 +55,9 @@ class Written:
         self._kinds: dict[tuple[np.dtype[Any], bool], h5t.TypeID] = {}
         self._spaces: dict[tuple[int, ...], h5s.SpaceID] = {}
         self._forms: dict[MapForm | None, h5p.PropDCID] = {}
+
+    def __len__(self) -> int:
+        return len(self._arrays) + len(self._maps) + len(self._attributes)
 
     def group(self, parent: h5g.GroupID, path: str, compact_attributes: int = 8) -> h5g.GroupID:
         """A group of that path, and those on the way to it, made where they are missing.
@@ -97,22 +101,27 @@ class Written:
             made.write(value, mtype=self._kind(value.dtype))
             noted[name.encode()] = _Noted(value.dtype, (), _digest(value))
 
-    def differs(self, path: Path) -> str | None:
+    def differs(self, path: Path, progress: Progress) -> str | None:
         """The first part of the closed file that is not as it was written; None where all of it is."""
+
+        def step() -> None:
+            check()
+            progress.advance(1)
+
         try:
             with h5py.File(path, "r", locking=False) as file:
                 for name, array in self._arrays.items():
-                    check()
+                    step()
                     values, kind = np.empty(array.shape, array.dtype), self._kind(array.dtype)
                     h5d.open(file.id, name).read(h5s.ALL, h5s.ALL, values, mtype=kind)
                     if _digest(values) != array.digest:
                         return name.decode()
                 for name, digests in self._maps.items():
-                    check()
+                    step()
                     if _chunks(h5d.open(file.id, name)) != digests:
                         return name.decode()
                 for name, wanted in self._attributes.items():
-                    check()
+                    step()
                     part = h5o.open(file.id, name)
                     for key, attribute in wanted.items():
                         value = np.empty((), attribute.dtype)

@@ -64,7 +64,7 @@ def import_release(
         check_name(name)
     with (
         interrupts.held(),
-        reader.read(sources) as source,
+        reader.read(sources, progress) as source,
         storage_errors(root / (name or source.manifest.name)),
     ):
         name = name or source.manifest.name

@@ -113,7 +113,7 @@ def _box(low: Array, high: Array) -> dict[str, Any]:
 
 def write_episodes(dataset: NewDataset) -> None:
     """Write ``main_data.hdf5``; OSError where the disk refuses."""
-    with new_file(dataset.folder / MAIN) as (written, check):
+    with new_file(dataset.folder / MAIN, dataset.progress) as (written, check):
         count = 0
         for block in dataset.blocks:
             for piece in dataset.pieces(block):

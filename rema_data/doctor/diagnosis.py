@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -15,6 +15,7 @@ from rema_data.errors import RemaError
 from rema_data.loader.decode import map_rows, row_bytes
 from rema_data.loader.record import has_digests
 from rema_data.loader.release import Release
+from rema_data.progress import Progress, Silent
 from rema_data.release.folder import ReleaseFolder
 from rema_data.release.registry import SAMPLE, load_published, published
 from rema_data.repair import install, reinstall
@@ -46,9 +47,7 @@ class Diagnosis:
         return {"ok": not self.problems} | content
 
 
-def diagnose(
-    read_seconds: float = 1.0, note: Callable[[str], None] = lambda text: None, contents: bool = False
-) -> Diagnosis:
+def diagnose(read_seconds: float = 1.0, progress: Progress | None = None, contents: bool = False) -> Diagnosis:
     """Look at this machine.
 
     Parameters
@@ -56,23 +55,24 @@ def diagnose(
     read_seconds : float
         Length of each of the four reading tests; 0 leaves them out. The first builds the decoded cache, as training
         would.
-    note : callable
-        Gets a line before each thing that takes time.
+    progress : rema_data.progress.Progress, optional
+        Gets a line before each thing that takes time, and the number of decoded bytes.
     contents : bool
         Compare every byte of the decoded caches with what was written.
     """
+    progress = progress or Silent()
     state, releases = home(), local_releases()
     problems = list(_problems(package_versions(), state, releases))
     if contents:
-        note("checking the content of the decoded caches")
+        progress.note("checking the content of the decoded caches")
     found = disposables(releases, contents)
     wrong = list(_damaged_caches(found))
     problems += wrong
     chosen, speeds = _newest(releases), list[Speed]()
     if chosen is not None and read_seconds > 0 and not wrong:
-        note(f"reading {chosen.manifest.name} (decoded first, where it has not been)")
+        progress.note(f"reading {chosen.manifest.name} (decoded first, where it has not been)")
         try:
-            speeds = list(measure_speed(Release(chosen), read_seconds))
+            speeds = list(measure_speed(Release(chosen, progress=progress), read_seconds))
         except RemaError as error:
             problems.append(f"{chosen.manifest.name} cannot be read: {error}")
         found = disposables(releases)  # with the cache that may have been built

@@ -16,7 +16,7 @@ class PolicyLimits:
     """Limits of a policy."""
 
     start_s: float = 120.0  # from the start of the process until the constructor returned
-    batch_s: float = 60.0  # for one batch
+    batch_s: float = 60.0  # for one batch, or ``observation_s`` for each of its observations where that is more
     single_s: float = 20.0  # for one observation of a batch that failed, at most ``batch_s``
     # for one host in all, plus ``observation_s`` for every observation asked; after that, each one is a time-out
     run_s: float = 600.0
@@ -30,6 +30,10 @@ class PolicyLimits:
     disk_files: int = 10_000  # files and folders in it
     open_files: int = 1024  # descriptors
     tasks: int = 1024  # threads and processes beside those its user has already, where the kernel counts them
+
+    def seconds(self, observations: int) -> float:
+        """How long the answer to so many observations may take, s."""
+        return max(self.batch_s, self.observation_s * observations)
 
     @property
     def memory(self) -> int:

@@ -80,7 +80,7 @@ def test_a_privileged_policy_is_shown_the_situations() -> None:
 @pytest.mark.parametrize(
     ("act", "name", "words"),
     [
-        ("return np.random.default_rng().integers(1000, size=len(observations)) + 30000", "same again", "differed"),
+        ("return np.random.default_rng().integers(600, size=len(observations)) + 30000", "same again", "differed"),
         ("self.count += 1\nreturn (good(observations) + 16 * self.count) % 65536", "same again", "differed"),
         ("return good(observations) * 0 + 30000 + len(observations)", "batch size", "differed"),
         ("return np.full(len(observations), 30000 + os.getpid() % 100)", "new process", "differed"),
@@ -126,13 +126,15 @@ def test_a_slow_policy_is_asked_less_and_refused(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(checking, "_BUDGET_S", 1.0)
     results = checked(tmp_path, "time.sleep(0.02 * len(observations))\nreturn good(observations)")
     assert refused(results) == [] and int(results["valid actions"].found.split()[0]) < 20
-    monkeypatch.setattr(check_report, "PolicyLimits", lambda: PolicyLimits(batch_s=0.5))
+    monkeypatch.setattr(check_report, "PolicyLimits", lambda: PolicyLimits(batch_s=0.5, observation_s=0.001))
     results = checked(tmp_path, "time.sleep(0.02 * len(observations))\nreturn good(observations)")
     assert refused(results) == ["time"] and "within 0.5 s" in results["time"].fix
 
 
 def test_a_policy_that_hangs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(checking, "_LIMITS", PolicyLimits(batch_s=0.5, single_s=0.5, deaths_in_row=1))
+    monkeypatch.setattr(
+        checking, "_LIMITS", PolicyLimits(batch_s=0.5, observation_s=0.1, single_s=0.5, deaths_in_row=1)
+    )
     results = checked(tmp_path, "time.sleep(60)")
     assert refused(results) == ["valid actions"] and "timeout: no answer within 0.5 s" in results["valid actions"].found
 

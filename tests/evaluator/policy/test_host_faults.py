@@ -20,7 +20,7 @@ from .batches import make_batch
 from .conftest import REPLIES, WritePolicy
 from .test_host_answers import LIMITS, reasons
 
-IMPATIENT = PolicyLimits(start_s=120, batch_s=0.5)
+IMPATIENT = PolicyLimits(start_s=120, batch_s=0.5, observation_s=0.1)
 
 
 def test_a_file_that_does_not_import(write_policy: WritePolicy) -> None:
@@ -110,9 +110,15 @@ def test_a_policy_that_raises_in_every_batch_has_one_fault_in_each(write_policy:
 
 def test_a_hanging_observation_is_one_fault(write_policy: WritePolicy) -> None:
     spec = write_policy("if (observations.scene[:, 0, 0] == np.float32(1e-4)).any(): time.sleep(60)\nreturn good")
-    with PolicyHost(spec, None, "cpu", PolicyLimits(batch_s=3)) as host:
+    with PolicyHost(spec, None, "cpu", PolicyLimits(batch_s=3, observation_s=1)) as host:
         assert reasons(host.act(make_batch(3))) == ["ok", "timeout", "ok"]
         assert host.restarts == 2
+
+
+def test_a_large_batch_has_more_time(write_policy: WritePolicy) -> None:
+    spec = write_policy("time.sleep(1)\nreturn good")
+    with PolicyHost(spec, None, "cpu", PolicyLimits(batch_s=0.5, observation_s=1)) as host:
+        assert reasons(host.act(make_batch(20))) == ["ok"] * 20 and host.restarts == 0
 
 
 def test_a_policy_that_dies(write_policy: WritePolicy) -> None:

@@ -24,7 +24,7 @@ from tests.evaluator.policy.batches import make_batch
 from tests.evaluator.policy.conftest import WritePolicy, sandbox_is_possible, skip_without_sandbox
 from tests.evaluator.policy.test_host_answers import LIMITS, reasons
 
-IMPATIENT = PolicyLimits(start_s=120, batch_s=0.5)
+IMPATIENT = PolicyLimits(start_s=120, batch_s=0.5, observation_s=0.1)
 FOREIGN = {kind: f"{kind}:[1]" for kind in NAMESPACES}
 WRAPPERS = {
     "bwrap": "bwrap --unshare-all --die-with-parent --ro-bind / / --tmpfs {manifests} --bind {tmp} {tmp} "
