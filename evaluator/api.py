@@ -155,7 +155,8 @@ def _scenarios(
                 hint="drop --protocol",
                 field="protocol",
             )
-        return suite, episodes or suite_length(suite, task, split)
+        length = suite_length(suite, task, split)
+        return suite, episodes or length
     if fresh is not None:
         from evaluator.runner.fresh import fresh_list
         from evaluator.scenarios.fresh import COUNT

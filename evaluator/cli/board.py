@@ -47,14 +47,16 @@ def print_board(board: Board) -> None:
         line(remark, "bold red" if remark.startswith(_LOUD) else "dim")
 
 
-def print_suite(tables: Sequence[SuiteTable]) -> None:
-    """Print the tables of a suite on stdout."""
+def print_suite(tables: Sequence[SuiteTable], remarks: Sequence[str]) -> None:
+    """Print the tables of a suite on stdout, and what is to be said about their rows."""
     if not tables:
         line("nothing was played over this suite: rema evaluate POLICY --suite hard-v1")
     for table in tables:
         right = tuple(name for name in table.header if name not in ("policy", "tag", "ties", "worst axis"))
         optional = ("tag", "worst axis", "kept %", "ties", "rank", "clean %")
         print_table(table.header, table.lines, title=table.title, right=right, optional=optional)
+    for remark in remarks:
+        line(remark)
 
 
 def _print_group(title: str, rows: Sequence[Row]) -> set[str]:

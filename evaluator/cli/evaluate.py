@@ -55,10 +55,4 @@ def evaluate(policy: str, as_json: bool, **options: Any) -> None:
 
     with StderrProgress() as progress:
         result = run(policy, progress=progress, **options)
-    score = None
-    if options["suite"] is not None:
-        from evaluator.run.cells import score as score_of
-        from evaluator.run.reading import read_run
-
-        score = score_of(read_run(result.folder))
-    print_result(result.summary, result.folder, as_json, score)
+    print_result(result.summary, result.folder, as_json, over_suite=options["suite"] is not None)

@@ -87,10 +87,10 @@ def leaderboard(
 
 def _print_suite(board: Board, suite: str, form: str | None) -> None:
     from evaluator.cli.board import print_suite
-    from evaluator.leaderboard.suite_tables import SUITE_FORMATS, suite_tables
+    from evaluator.leaderboard.suite_tables import SUITE_FORMATS, suite_remarks, suite_tables
 
     if form is None:
-        print_suite(suite_tables(board, suite))
+        print_suite(suite_tables(board, suite), suite_remarks(board, suite))
     elif form in SUITE_FORMATS:
         click.echo(SUITE_FORMATS[form](board, suite), nl=False)
     else:

@@ -25,8 +25,10 @@ def merge(runs: tuple[Path, ...], output: Path, as_json: bool) -> None:
     # Imported here, so that a mistyped option is answered at once.
     from evaluator.cli.progress import StderrProgress
     from evaluator.cli.result import print_result
+    from evaluator.run.reading import read_run
     from evaluator.runner.merge import merge_runs
 
     with StderrProgress() as progress:
         result = merge_runs(runs, output, progress)
-    print_result(result.summary, result.folder, as_json)
+    over_suite = bool(read_run(result.folder).suite)
+    print_result(result.summary, result.folder, as_json, over_suite=over_suite)

@@ -21,21 +21,32 @@ _BAR_WIDTH = 30
 _PHASES = ("observe", "infer", "simulate", "audit")
 
 
-def print_result(summary: dict[str, Any], folder: Path, as_json: bool, score: SuiteScore | None = None) -> None:
+def print_result(summary: dict[str, Any], folder: Path, as_json: bool, *, over_suite: bool = False) -> None:
     """Print the summary of a run on stdout: as a JSON object alone, or as tables for people.
 
-    A run over a suite has a ``score``.
+    A run over a suite has a score by axis and level in place of a rate.
     """
+    score, errors = _suite_result(folder) if over_suite else (None, {})
     if as_json:
         print_json(summary if score is None else {**summary, "suite": asdict(score)})
         return
-    print_facts(_facts(summary))
+    print_facts(_facts(summary, pooled=score is None))
     if summary["failures"]:
         _print_failures(summary)
     if score is not None:
         print_score(score)
+        if errors:
+            line("policy errors: " + ", ".join(f"{axis} {count:,} of {of:,}" for axis, (count, of) in errors.items()))
     line(_seconds(summary))
     line(f"run folder: {folder} (`rema replay` checks it)")
+
+
+def _suite_result(folder: Path) -> tuple[SuiteScore, dict[str, tuple[int, int]]]:
+    from evaluator.run.cells import errors_by_axis, score
+    from evaluator.run.reading import read_run
+
+    run = read_run(folder)
+    return score(run), errors_by_axis(run)
 
 
 def print_score(score: SuiteScore) -> None:
@@ -53,7 +64,7 @@ def print_score(score: SuiteScore) -> None:
     ]
     print_table(("axis", *levels, "mean [95 %]"), rows, right=(*levels, "mean [95 %]"))
     if score.hard is None:
-        line("hard: needs every scenario of every axis")
+        line(f"hard: needs every scenario of every axis, and these lack some: {', '.join(score.lacking)}")
     else:
         line(f"hard: {_mean(score.hard, score.interval)}, the mean of the axes; those in brackets do not count")
 
@@ -68,13 +79,14 @@ def _cell_text(cell: CellScore) -> str:
     return f"{cell.successes} of {cell.measured}/{cell.of}" if cell.measured else ""
 
 
-def _facts(summary: dict[str, Any]) -> Iterator[tuple[str, str | Text]]:
+def _facts(summary: dict[str, Any], pooled: bool = True) -> Iterator[tuple[str, str | Text]]:
     privileged = " (privileged: sees the ground truth)" if summary.get("privileged") else ""
     yield "policy", f"{summary['policy']}{privileged}"
     yield "task", f"{summary['task']}, {summary['protocol']}"
     successes, eligible = summary["successes"], summary["eligible"]
-    rate = Text(format_rate(successes, eligible), style="bold")
-    yield "success rate", rate.append(" (95 %)" if eligible else " (no eligible episode)", style="dim")
+    if pooled:  # the cells of a suite have rates of their own
+        rate = Text(format_rate(successes, eligible), style="bold")
+        yield "success rate", rate.append(" (95 %)" if eligible else " (no eligible episode)", style="dim")
     yield "successes", f"{successes:,} of {eligible:,} eligible episodes"
     if summary["policy_errors"]:
         yield "policy errors", Text(f"{summary['policy_errors']:,} (counted as failures)", style="yellow")

@@ -11,7 +11,7 @@ from typing import Any
 
 from evaluator.leaderboard.blank import blank_rates, blank_remarks
 from evaluator.leaderboard.copies import in_order, once
-from evaluator.leaderboard.fresh import fresh_counts, fresh_gaps
+from evaluator.leaderboard.fresh import fresh_counts, fresh_gaps, fresh_remarks
 from evaluator.leaderboard.naming import PUBLISHED
 from evaluator.leaderboard.ranking import LEVEL, Pair, rank_runs
 from evaluator.leaderboard.row import Row, published_rows, row_of
@@ -76,7 +76,8 @@ def leaderboard(
     clean = [run for run in everything if not run.suite and not run.fresh]
     runs = [run for run in clean if run.protocol not in BLANKED]
     blank = [run for run in clean if run.protocol in BLANKED]
-    fresh = fresh_counts([run for run in everything if run.fresh])
+    refreshed = [run for run in everything if run.fresh]
+    fresh = fresh_counts(refreshed)
     standings, pairs = rank_runs(runs)
     # Beside a row stands only what would have a rank of its own; of several such runs the first.
     rates: dict[bool, dict[tuple[str, str, str], float | None]] = {False: {}, True: {}}  # by ``end_to_end``
@@ -105,7 +106,8 @@ def leaderboard(
         for copy, first in copies
         if (copy.policy, copy.provenance.policy_digest) != (first.policy, first.provenance.policy_digest)
     ]
-    remarks = (*left_out, *shown_once, *_remarks(rows, pairs), *blank_remarks(blank, conditional))
+    unseen = fresh_remarks(refreshed, {(run.protocol, run.same_policy) for run in runs})
+    remarks = (*left_out, *shown_once, *_remarks(rows, pairs), *blank_remarks(blank, conditional), *unseen)
     return Board(tuple(rows), remarks, refused, tuple(hardened))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from scipy.stats import fisher_exact
@@ -12,7 +12,7 @@ from evaluator.run.run import Run
 from evaluator.scenarios import installed_list
 from evaluator.statistics import difference_interval, holm
 
-__all__ = ["FreshGap", "fresh_counts", "fresh_gaps"]
+__all__ = ["FreshGap", "fresh_counts", "fresh_gaps", "fresh_remarks"]
 
 Key = tuple[str, tuple[str, str, str]]
 """Protocol, and what is equal in runs of one policy."""
@@ -59,6 +59,16 @@ def fresh_gaps(runs: Sequence[Run], fresh: Mapping[Key, Counts]) -> list[FreshGa
         tables.append((run.counts.successes, run.counts.eligible, *found) if found and known else None)
     adjusted = iter(holm([_p(*table) for table in tables if table is not None]))
     return [None if table is None else _gap(table, next(adjusted)) for table in tables]
+
+
+def fresh_remarks(runs: Sequence[Run], shown: set[Key]) -> Iterator[str]:
+    """Why runs over fresh scenarios are beside no row; ``shown`` are the rows over the frozen lists."""
+    for run in runs:
+        if (run.protocol, run.same_policy) not in shown:
+            yield (
+                f"{run.policy} ({run.task}, {run.protocol}, {run.version}) is not shown: fresh scenarios are compared "
+                "with the frozen list, over which its policy was not played."
+            )
 
 
 def _gap(table: tuple[int, int, int, int], p: float) -> FreshGap:

@@ -11,7 +11,7 @@ from pathlib import Path
 from evaluator.leaderboard import PUBLISHED, Board, Row
 from evaluator.leaderboard.escape import one_line, web_link
 from evaluator.leaderboard.export import COLUMNS, board_html, cells, export, html_page
-from evaluator.leaderboard.suite_tables import SUITE_FORMATS, share, suite_tables
+from evaluator.leaderboard.suite_tables import SUITE_FORMATS, share, suite_remarks, suite_tables
 from evaluator.leaderboard.suites import SuiteRow
 from evaluator.statistics import percent
 from rema_data.interrupts import check
@@ -56,6 +56,7 @@ def write_site(board: Board, target: Path) -> int:
         for suite in suites:
             for table in suite_tables(board, suite):
                 tables += f"\n<h2>{html.escape(table.title)}</h2>\n{_table(table.header, table.lines)}"
+            tables += "".join(f"\n<p>{html.escape(remark)}</p>" for remark in suite_remarks(board, suite))
             for form, made in SUITE_FORMATS.items():
                 downloads += f', <a href="{suite}.{form}">{suite}.{form}</a>'
                 write_atomic(folder / f"{suite}.{form}", made(board, suite))
@@ -121,23 +122,25 @@ def _row_parts(rows: Sequence[Row]) -> list[str]:
 
 
 def _suite_parts(rows: Sequence[SuiteRow]) -> Iterator[str]:
-    """The rates of every cell of a suite, an axis a line."""
+    """The rates of every cell of a suite as a heat map, an axis a line."""
     for row in rows:
         levels = max(len(axis.cells) for axis in row.score.axes)
-        lines = [
-            (
-                axis.name,
-                *(share(cell.rate) for cell in axis.cells),
-                *("",) * (levels - len(axis.cells)),
-                share(axis.mean),
-            )
-            for axis in row.score.axes
-        ]
+        lines = []
+        for axis in row.score.axes:
+            rates = [cell.rate for cell in axis.cells]
+            blank = ["<td></td>"] * (levels - len(rates))
+            lines.append([f"<td>{html.escape(axis.name)}</td>", *map(_heat, rates), *blank, _heat(axis.mean)])
         header = ("axis", *(f"level {number}" for number in range(1, levels + 1)), "mean")
         title = (
             f"{row.suite}: {row.task}, {'adapted' if row.adapted else 'clean-trained'}, hard {share(row.score.hard)}"
         )
-        yield f"<h2>{html.escape(title)}</h2>\n{_table(header, lines)}"
+        yield f"<h2>{html.escape(title)}</h2>\n{_rows(header, lines)}"
+
+
+def _heat(rate: float | None) -> str:
+    """A rate in %, on a ground that is the darker the higher it is."""
+    ground = "" if rate is None else f' style="background: rgb(34 120 60 / {0.6 * rate:.2f})"'
+    return f"<td{ground}>{share(rate)}</td>"
 
 
 def _marks(row: Row) -> tuple[str, ...]:
@@ -145,6 +148,11 @@ def _marks(row: Row) -> tuple[str, ...]:
 
 
 def _table(header: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
+    return _rows(header, ([f"<td>{html.escape(cell)}</td>" for cell in line] for line in lines))
+
+
+def _rows(header: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
+    """A table of cells that are HTML already."""
     head = "".join(f"<th>{html.escape(name)}</th>" for name in header)
-    body = "\n".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in line) + "</tr>" for line in lines)
+    body = "\n".join(f"<tr>{''.join(line)}</tr>" for line in lines)
     return f"<div><table>\n<tr>{head}</tr>\n{body}\n</table></div>"

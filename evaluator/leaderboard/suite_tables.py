@@ -16,7 +16,7 @@ from evaluator.scenarios.suites import check_suite
 from evaluator.statistics import format_interval, percent
 from rema_data.schema import TASKS
 
-__all__ = ["SUITE_FORMATS", "SuiteTable", "rows_of_suite", "share", "suite_tables", "trained"]
+__all__ = ["SUITE_FORMATS", "SuiteTable", "rows_of_suite", "share", "suite_remarks", "suite_tables", "trained"]
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -50,6 +50,16 @@ def suite_tables(board: Board, suite: str) -> list[SuiteTable]:
     return tables
 
 
+def suite_remarks(board: Board, suite: str) -> list[str]:
+    """Why rows of a suite have no rank, and what lacks of their scenarios."""
+    found = []
+    for row in rows_of_suite(board, suite):
+        if row.unranked:
+            lacking = f" ({', '.join(row.score.lacking)})" if row.score.lacking else ""
+            found.append(f"{row.policy} ({row.task}) has no rank: {row.unranked}{lacking}.")
+    return found
+
+
 def _line(row: SuiteRow) -> tuple[str, ...]:
     score, worst = row.score, row.score.worst
     return (
@@ -80,6 +90,7 @@ def _markdown(board: Board, suite: str) -> str:
     parts = []
     for table in suite_tables(board, suite):
         parts += [f"**{to_markdown(table.title)}**", markdown_table(table.header, _escaped(table.lines))]
+    parts += [to_markdown(remark) for remark in suite_remarks(board, suite)]
     return "\n\n".join(parts) + "\n"
 
 

@@ -2,7 +2,7 @@
 
 An axis is the mean of its levels, ``hard`` the mean of its axes: each counts the same, whatever its rate. Where a
 scenario lacks, there is no mean, never that of what happens to be there. Intervals are those of a bootstrap over clean
-scenarios, since the levels of an axis share them.
+scenarios, since the levels of an axis share them; exact ones at 0 and 1.
 """
 
 from __future__ import annotations
@@ -17,9 +17,11 @@ from evaluator.run.plan import find_list
 from evaluator.run.run import Run
 from evaluator.scenarios.axes import AXES
 from evaluator.scenarios.suites import Cell, cells_of
+from evaluator.statistics import clopper_pearson
 from rema_data.errors import InputError
+from rema_data.schema import Failure
 
-__all__ = ["AxisScore", "CellScore", "Solved", "SuiteScore", "score", "score_of", "solved"]
+__all__ = ["AxisScore", "CellScore", "Solved", "SuiteScore", "errors_by_axis", "score", "score_of", "solved"]
 
 RESAMPLES = 10_000
 _LEVELS = (2.5, 97.5)
@@ -64,6 +66,17 @@ class SuiteScore:
     interval: tuple[float, float] | None
 
     @property
+    def lacking(self) -> list[str]:
+        """Axes and levels that lack a scenario that the mean needs, such as ``clutter 2 (12 of 500)``."""
+        return [
+            f"{axis.name} {cell.level} ({cell.measured:,} of {cell.of:,})"
+            for axis in self.axes
+            if axis.counts
+            for cell in axis.cells
+            if cell.measured < cell.of
+        ]
+
+    @property
     def worst(self) -> AxisScore | None:
         """The axis with the lowest mean, of those that count."""
         found = [axis for axis in self.axes if axis.counts and axis.mean is not None]
@@ -92,6 +105,11 @@ class Solved:
         assert shares is not None
         means: Floats = shares[rng.integers(len(shares), size=(RESAMPLES, len(shares)))].mean(axis=1)
         return means
+
+    @property
+    def every(self) -> Floats:
+        """The shares of all axes that count, one after the other: each axis has clean scenarios of its own."""
+        return np.concatenate([shares for name in self.counting if (shares := self.axes[name]) is not None])
 
     @cached_property
     def hard_again(self) -> Floats:
@@ -137,16 +155,33 @@ def score_of(task: str, found: Solved, counts: dict[Cell, CellScore], suite: str
             AXES[name].counts,
             tuple(one for cell, one in counts.items() if cell.axis == name),
             None if shares is None else float(shares.mean()),
-            None if shares is None else _interval(found.drawn_again(name, rng)),
+            None if shares is None else _interval(found.drawn_again(name, rng), shares),
         )
         for name, shares in found.axes.items()
     )
     if not found.whole:
         return SuiteScore(suite, task, axes, None, None)
     hard = float(np.mean([axis.mean for axis in axes if axis.counts]))  # type: ignore[arg-type]
-    return SuiteScore(suite, task, axes, hard, _interval(found.hard_again))
+    return SuiteScore(suite, task, axes, hard, _interval(found.hard_again, found.every))
 
 
-def _interval(means: Floats) -> tuple[float, float]:
+def errors_by_axis(run: Run) -> dict[str, tuple[int, int]]:
+    """Policy errors of a run folder over a suite, and its scenarios, by axis; without the axes that had no error."""
+    failed = np.array([label == Failure.POLICY_ERROR.value for label in run.table["failure"].to_pylist()])
+    found: dict[str, tuple[int, int]] = {}
+    for cell, rows in cells_of(find_list(run.task, run.split, run.provenance.scenarios_hash, failed.size)).items():
+        played = [row for row in rows if row < failed.size]
+        errors, of = found.get(cell.axis, (0, 0))
+        found[cell.axis] = errors + int(failed[played].sum()), of + len(played)
+    return {axis: counts for axis, counts in found.items() if counts[0]}
+
+
+def _interval(means: Floats, shares: Floats) -> tuple[float, float]:
+    """Of the bootstrap; where nothing or everything was solved it would have no width, and the exact one is given.
+
+    That one counts clean scenarios: an axis is at 1 where all of its levels were solved for every one of them.
+    """
+    if shares.min() == shares.max() in (0.0, 1.0):
+        return clopper_pearson(int(shares.sum()), shares.size)
     low, high = np.percentile(means, _LEVELS)
     return float(low), float(high)

@@ -6,19 +6,20 @@ Its answers are on disk before what comes of them is.
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from evaluator.protocol import FAULT_CHECK, FAULT_LIMIT, FLIP_LIMIT
 from evaluator.rollout.ask import record_answers
 from evaluator.rollout.backend import Backend, PolicyProcess
-from evaluator.run.records import Ledger
+from evaluator.run.records import Ledger, Records
 from evaluator.runner.observation_cache import Block, ObservationCache
 from evaluator.sim.observation import observation_sha256
 from evaluator.statistics import clopper_pearson
 from rema_data.errors import IntegrityError, PolicyFailureError
 from rema_data.progress import Progress
-from rema_data.schema import Situation
+from rema_data.schema import Scenario, Situation
 
 __all__ = ["Batch", "batches", "check_faults", "infer_batches", "observe_batches", "shuffled"]
 
@@ -120,6 +121,7 @@ def infer_batches(
     cache: ObservationCache,
     wanted: Sequence[Batch],
     ledger: Ledger,
+    scenarios: Sequence[Scenario],
     progress: Progress,
 ) -> None:
     """Ask the policy about the batches of one step and record its answers; ``check_faults`` as it goes."""
@@ -133,18 +135,23 @@ def infer_batches(
         record_answers(policy, backend, batch.indices, batch.situations, ledger, observations)
         progress.advance(len(batch.indices))
         if len(ledger.answers) >= FAULT_CHECK:
-            check_faults(ledger)
+            check_faults(ledger, scenarios)
 
 
-def check_faults(ledger: Ledger) -> None:
-    """Raise a PolicyFailureError, with the first fault, where the policy failed on more answers than a run allows."""
+def check_faults(ledger: Records, scenarios: Sequence[Scenario]) -> None:
+    """Raise a PolicyFailureError where the policy failed on more answers than a run allows.
+
+    It has the first fault, and where the scenarios are those of a suite, how many each axis had.
+    """
     faults = ledger.faults
     if len(faults) <= FAULT_LIMIT * len(ledger.answers):
         return
     first = faults[0]
+    axes = Counter(one.axis for fault in faults if (one := scenarios[fault.index].variation) is not None)
+    by_axis = f"; by axis: {', '.join(f'{axis} {count}' for axis, count in axes.most_common())}" if axes else ""
     raise PolicyFailureError(
         f"the policy failed on {len(faults)} of {len(ledger.answers)} observations (limit {FAULT_LIMIT:.0%}); "
-        f"the first time on scenario {first.index}: {first.reason}: {first.detail}",
+        f"the first time on scenario {first.index}: {first.reason}: {first.detail}{by_axis}",
         hint="fix the policy and evaluate it into a new folder (--output); what was recorded stays in this one",
         faults=len(faults),
         answered=len(ledger.answers),

@@ -119,7 +119,7 @@ class _Run:
             try:
                 for step in self.plan.steps:
                     self._step(step)
-                check_faults(self.ledger)
+                check_faults(self.ledger, self.scenarios.scenarios)
             except PolicyFailureError as error:
                 failed = error
                 if self.folder.policy_log.exists():
@@ -213,7 +213,7 @@ class _Run:
             with self._timed("infer"):
                 self._begin()
                 self._note_policy(policy)
-                infer_batches(policy, backend, cache, wanted, self.ledger, self.progress)
+                infer_batches(policy, backend, cache, wanted, self.ledger, self.scenarios.scenarios, self.progress)
 
     def _open_policy(self) -> AbstractContextManager[PolicyProcess]:
         config = self.config

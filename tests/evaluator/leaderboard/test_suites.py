@@ -72,6 +72,10 @@ def test_a_part_of_a_suite_has_no_rank(runs: list[Path], tmp_path: Path) -> None
     part = write_run(tmp_path / "part", np.ones(50, bool), policy="part", suite="hard-v1")
     (row,) = (row for row in leaderboard([*runs, part], published=False).suites if row.policy == "part")
     assert row.rank is None and row.unranked == "50 of 180 scenarios" and row.score.hard is None
+    shown = CliRunner().invoke(cli, ["leaderboard", str(part), "--no-entries", "--suite", "hard-v1"])
+    assert (
+        "part (grasp) has no rank: 50 of 180 scenarios (" in shown.stdout and f"{row.score.lacking[0]}" in shown.stdout
+    )
 
 
 def test_policies_that_were_trained_on_changed_situations_are_ranked_apart(runs: list[Path], tmp_path: Path) -> None:
@@ -245,6 +249,8 @@ def test_a_report_has_a_map_of_axes_and_levels(tmp_path: Path, monkeypatch: pyte
     ("options", "words"),
     [
         (["--suite", "soft-v1"], "there is no suite 'soft-v1'"),
+        (["--suite", "soft-v1", "--episodes", "5"], "there is no suite 'soft-v1'"),
+        (["--suite", "v2", "--episodes", "5"], "there is no suite 'v2'"),
         (["--suite", "hard-v1", "--protocol", "end-to-end"], "has no end-to-end protocol"),
         (["--suite", "hard-v1", "--split", "val"], "has no val list of grasp"),
         (["--suite", "hard-v1", "--fresh", "3"], "a suite is frozen"),

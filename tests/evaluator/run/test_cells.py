@@ -9,6 +9,7 @@ import pytest
 
 from evaluator.run.cells import score
 from evaluator.run.reading import read_run
+from evaluator.statistics import clopper_pearson
 from rema_data.errors import InputError
 from rema_data.schema import Scenario
 from tests.evaluator.runs import SUITE_AXES, SUITE_BASES, solved, use_installation, write_run, write_suite
@@ -55,6 +56,17 @@ def test_no_mean_of_what_happens_to_be_there(suite: list[Scenario], tmp_path: Pa
     lost = score(read_run(write_run(tmp_path / "lost", whole, lost=one, suite="tough-v1")))
     assert {axis.name: axis.mean for axis in lost.axes} == {"clutter": 1.0, "shape": None, "posts": 1.0}
     assert lost.hard is None
+    assert lost.lacking == [f"shape 2 ({SUITE_BASES - 1} of {SUITE_BASES})"]
+
+
+def test_what_was_solved_everywhere_has_an_interval_nevertheless(suite: list[Scenario], tmp_path: Path) -> None:
+    found = score(read_run(write_run(tmp_path / "run", np.ones(len(suite), bool), suite="tough-v1")))
+    assert (
+        found.hard == 1.0 and [axis.interval for axis in found.axes] == [clopper_pearson(SUITE_BASES, SUITE_BASES)] * 3
+    )
+    assert found.interval == clopper_pearson(2 * SUITE_BASES, 2 * SUITE_BASES)
+    none = score(read_run(write_run(tmp_path / "none", np.zeros(len(suite), bool), suite="tough-v1")))
+    assert none.interval == clopper_pearson(0, 2 * SUITE_BASES)
 
 
 def test_a_run_over_clean_scenarios_has_no_score(suite: list[Scenario], tmp_path: Path) -> None:

@@ -9,8 +9,11 @@ import pytest
 
 from evaluator.policy import resolve
 from evaluator.replay import replay
+from evaluator.run.records import Answered, Records
 from evaluator.runner import EvaluationConfig, questions, run_evaluation
-from rema_data.errors import IntegrityError
+from evaluator.runner.questions import check_faults
+from evaluator.scenarios import load_list
+from rema_data.errors import IntegrityError, PolicyFailureError
 from rema_data.progress import Silent
 
 EPISODES = 40
@@ -51,6 +54,15 @@ def test_a_part_that_is_resumed(reference: bytes, home: Path) -> None:
 def test_every_row_is_simulated_again(reference: bytes, home: Path) -> None:
     report = replay(home / "reference", engine="inline")
     assert report.verified and not report.differences
+
+
+def test_axes_on_which_a_policy_fails_are_named() -> None:
+    scenarios = load_list("grasp", "val", "hard-v1").scenarios
+    asked = Records()
+    asked.add_answers(Answered(n, 0, None if scenarios[n].variation.axis == "posts" else 5) for n in range(EPISODES))  # type: ignore[union-attr]
+    failed = len(asked.faults)
+    with pytest.raises(PolicyFailureError, match=rf"failed on {failed} of {EPISODES} .*; by axis: posts {failed}\n"):
+        check_faults(asked, scenarios)
 
 
 def test_other_maps_than_the_frozen_ones_stop_a_run(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -91,6 +91,8 @@ def test_the_board_shows_clean_minus_fresh(tmp_path: Path, monkeypatch: pytest.M
     assert read_run(runs[1]).fresh and not read_run(runs[0]).fresh
     board = leaderboard(runs, published=False)
     found = {row.policy: row.fresh for row in board.rows}
+    (alone,) = (text for text in leaderboard(runs[1:2], published=False).remarks if "is not shown" in text)
+    assert alone.startswith("honest (grasp, conditional, fresh-") and "over which its policy was not played" in alone
     assert len(board.rows) == 2 and None not in found.values()
     honest, table = found["honest"], found["table"]
     assert honest is not None and honest[1] < 0 < honest[2]
