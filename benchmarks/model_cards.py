@@ -22,6 +22,7 @@ from evaluator.policy.shipped import Shipped, shipped_checkpoint, shipped_polici
 from evaluator.run.entry import find_entries
 
 PAGE = ROOT / "docs" / "models.md"
+CHECKPOINTS = ROOT / "releases" / "checkpoints"
 TITLE = f"""# The networks that come with rema
 
 Made by `python benchmarks/model_cards.py`, from the cards beside the weights and from the leaderboard. [The network and
@@ -50,12 +51,30 @@ def card(policy: str, shipped: Shipped, rows: list[Row]) -> list[str]:
     return [*parts, rate_table(policy, rows) or "These networks have no verified row on the leaderboard yet."]
 
 
+def earlier() -> list[str]:
+    """The section of the networks that no policy has: those of earlier releases, and of single rounds."""
+    played = {folder for shipped in shipped_policies().values() for folder in (shipped.folder, *_folders(shipped))}
+    found = sorted({path.parent.relative_to(CHECKPOINTS).as_posix() for path in CHECKPOINTS.rglob("*.safetensors")})
+    folders = [folder for folder in found if folder not in played]
+    return [
+        "## Earlier networks",
+        "A clone also has the networks of earlier releases and of single rounds. Each plays by its folder: "
+        f"`rema evaluate tae --checkpoint releases/checkpoints/{folders[0]} --task grasp`.",
+        "\n".join(f"- `releases/checkpoints/{folder}`" for folder in folders),
+    ]
+
+
+def _folders(shipped: Shipped) -> list[str]:
+    return [shipped.of(task).folder for task in shipped.tasks]
+
+
 def main() -> int:
     """Write the page; says where."""
     rows = list(leaderboard(find_entries(), published=False).rows)
     parts = [TITLE.strip()]
     for policy, shipped in shipped_policies().items():
         parts += card(policy, shipped, rows)
+    parts += earlier()
     PAGE.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
     print(PAGE.relative_to(ROOT))
     return 0

@@ -30,6 +30,9 @@ python benchmarks/robomimic_reader.py --json $results/robomimic_reader.json # pi
 for format in lerobot minari rlds hf; do # each reader in an environment of its own, see the scripts
   python benchmarks/${format}_reader.py --python environments/$format/bin/python --release rema-sample --json $results/${format}_reader.json
 done
+for format in rlds lerobot hf minari hdf5; do
+  python benchmarks/formats.py --format $format --json $results/formats_$format.json
+done
 for harness in lerobot vla-eval inspect-robots; do # as the readers
   python benchmarks/harnesses.py --harness $harness --python environments/$harness/bin/python --json $results/harness_${harness//-/_}.json
 done
@@ -70,6 +73,16 @@ python benchmarks/fine.py --output runs/fine --json $results/fine.json
 python benchmarks/examples.py --json $results/examples.json # pip install scikit-learn
 python benchmarks/examples.py --page
 python benchmarks/baselines.py --maps --runs runs/*
+for task in grasp push grasp_push grasp_grasp grasp_grasp_push; do
+  rema scenarios hard-v1 --suite --task $task # a list that is there already is kept
+done
+python benchmarks/suite_page.py --pictures
+for task in grasp push; do
+  for policy in random scripted examples/my_policy.py tae-separate tae-joint; do
+    rema evaluate $policy --task $task --suite hard-v1
+    rema evaluate $policy --task $task --fresh 2026
+  done
+done
 python benchmarks/calibration_report.py --runs runs/{random,scripted}-*-conditional
 python benchmarks/full_run.py --tasks grasp,push --json $results/full_run.json
 for run in runs/{random,scripted,tae-separate,tae-joint}-*; do
@@ -77,6 +90,7 @@ for run in runs/{random,scripted,tae-separate,tae-joint}-*; do
   [ -e "$entry" ] || rema submit "$run" --output "$entry"
 done
 python benchmarks/leaderboard.py
+python benchmarks/model_cards.py
 python benchmarks/command_line.py
 python benchmarks/train.py --tried --json $results/train.json
 python benchmarks/train.py --device cuda --batches 8,32,128,512,2048 --updates 8 --json $results/train_cuda.json # on a GPU
@@ -84,7 +98,6 @@ python benchmarks/infer.py --checkpoint releases/checkpoints/rema-v1/joint --run
 python benchmarks/half_precision.py --checkpoint releases/checkpoints/rema-v1/joint --scenarios 250 --json $results/half_precision.json
 
 python benchmarks/isolation.py --run runs/random-grasp-conditional --json $results/isolation.json
-python benchmarks/verify_entry.py --check --json $results/verify_entry.json
 python benchmarks/hostile.py --json $results/hostile.json
 python benchmarks/kills.py --json $results/kills.json
 python benchmarks/kills_rounds.py --json $results/kills_rounds.json

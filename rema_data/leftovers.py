@@ -46,9 +46,12 @@ def temporary_file(path: Path) -> Iterator[tuple[Path, int]]:
 def temporary_folder(prefix: str, parent: Path | None = None) -> Iterator[Path]:
     """A new folder ``PREFIX????????``, removed at the end of the block; those of dead processes are removed before.
 
-    ``parent`` is by default the system's folder for temporary files.
+    ``parent`` is by default the system's folder for temporary files; it is made where it is missing, and removed again
+    where nothing else is in it at the end.
     """
     place = Path(tempfile.gettempdir()) if parent is None else parent
+    missing = [folder for folder in (place, *place.parents) if not folder.exists()]
+    place.mkdir(parents=True, exist_ok=True)
     remove_abandoned(place, prefix)
     while True:
         folder = Path(tempfile.mkdtemp(prefix=prefix, dir=place))
@@ -58,6 +61,9 @@ def temporary_folder(prefix: str, parent: Path | None = None) -> Iterator[Path]:
                     yield folder
                 finally:
                     shutil.rmtree(folder, ignore_errors=True)
+                    with suppress(OSError):  # not empty, or removed by somebody else
+                        for made in missing:
+                            made.rmdir()
                 return
 
 

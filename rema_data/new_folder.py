@@ -19,16 +19,14 @@ def new_folder(path: Path) -> Iterator[Path]:
 
     Raises StorageError where the disk is full or may not be written; nothing is left then.
     """
-    with storage_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with temporary_folder(f".{path.name}.writing-", path.parent) as temporary:
-            folder = temporary / path.name
-            folder.mkdir()
-            yield folder
-            if path.exists():
-                path.rmdir()
-            folder.replace(path)
-            sync_folder(path.parent)
+    with storage_errors(path), temporary_folder(f".{path.name}.writing-", path.parent) as temporary:
+        folder = temporary / path.name
+        folder.mkdir()
+        yield folder
+        if path.exists():
+            path.rmdir()
+        folder.replace(path)
+        sync_folder(path.parent)
 
 
 def synced_files(folder: Path) -> Iterator[tuple[Path, str]]:

@@ -127,12 +127,10 @@ def _check_disjoint(shards: Sequence[RunFolder]) -> dict[int, Path]:
 @contextmanager
 def _staged(output: Path) -> Iterator[Path]:
     """A folder beside ``output`` that becomes it at the end, or is deleted."""
-    with storage_errors(output):
-        output.parent.mkdir(parents=True, exist_ok=True)
-        with temporary_folder(f".{output.name}.merging-", output.parent) as staging:
-            staging.chmod(0o755)
-            yield staging
-            staging.replace(output)
+    with storage_errors(output), temporary_folder(f".{output.name}.merging-", output.parent) as staging:
+        staging.chmod(0o755)
+        yield staging
+        staging.replace(output)
 
 
 def _copy_records(shards: Sequence[RunFolder], whole: RunFolder) -> None:

@@ -54,7 +54,9 @@ def expand(sources: Sequence[Path]) -> list[Path]:
         found = [path for path in sorted(source.iterdir()) if path.suffix in SUFFIXES] if source.is_dir() else [source]
         if not found:
             raise MissingFileError(
-                f"there is no HDF5 file in {source}", hint="name the folder that `rema export` wrote", path=str(source)
+                f"{source} was not written by `rema export`: it has no HDF5 file, and no rema/export.json",
+                hint="name the folder that `rema export` wrote; only exports of releases can be imported",
+                path=str(source),
             )
         paths += found
     return paths

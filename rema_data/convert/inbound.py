@@ -74,7 +74,6 @@ def import_release(
                 hint="import under another name (--name), or move the old release away",
                 path=str(root / name),
             )
-        root.mkdir(parents=True, exist_ok=True)
         progress.phase("import", source.steps)
         with temporary_folder(f".{name}.importing-", root) as folder:
             staging = folder / name

@@ -73,8 +73,8 @@ class ReleaseFolder:
         missing = [block for block in wanted if block.key not in here]
         if missing:
             raise MissingFileError(
-                f"{len(missing)} blocks of {self.manifest.name} are not on this machine, the first one "
-                f"{missing[0].key.path}",
+                f"{len(missing)} blocks of {self.manifest.name} are missing or not whole on this machine, "
+                f"the first one {missing[0].key.path}",
                 hint=self.missing_hint(missing),
                 missing=[block.key for block in missing],
             )

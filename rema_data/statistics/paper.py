@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from rema_data.manifests import manifests_dir, read_manifest
 from rema_data.schema import TASKS
-from rema_data.statistics.count import Statistics
+from rema_data.statistics.count import Statistics, StepCount
 
 __all__ = ["Comparison", "Counts", "PaperRow", "compare", "published_counts"]
 
+RANDOM = "random"
+"""Name of the random policy in the tables of a release."""
 EPISODES_A_ROUND = 12_000
 """Episodes of a task in a round of the paper, validation included (paper, "ReMa Dataset")."""
 ROUNDS = {"grasp": 3, "push": 2, "grasp_grasp": 2, "grasp_push": 2}
@@ -100,7 +103,7 @@ def compare(statistics: Statistics) -> Comparison:
         PaperRow("last steps", sum(paper.values(), Counts(0, 0)), ours),
         tuple(PaperRow(_EARLIER.get(skill, skill), None, counts) for skill, counts in earlier.items()),
         PaperRow("executed steps", None, sum(earlier.values(), ours)),
-        _remarks(paper),
+        (*_remarks(paper), *_rates_remark(statistics)),
     )
 
 
@@ -139,6 +142,30 @@ def _remarks(paper: dict[str, Counts]) -> tuple[str, ...]:
         f"{parts}. The picks of grasp_grasp are estimated from the rows that reached its end.",
         "Ours counts the last steps of a task as the rows of the task, and shows the steps before them, tool picks "
         "among them, in rows of their own. Training and validation are counted together.",
+    )
+
+
+def _rates_remark(statistics: Statistics) -> Iterator[str]:
+    """Why the shares of positives differ, where a release has rounds of a random and of another policy."""
+    last = [row for row in statistics.steps if row.last]
+    newest = max((row.round for row in last), default=0)
+    random = _rates([row for row in last if row.policy == RANDOM])
+    ours = _rates([row for row in last if row.round == newest and row.policy != RANDOM])
+    if random and ours:
+        yield (
+            "The shares of positives follow from who collected. Last steps that the random policy played succeed in "
+            f"{random}, as the paper's random policy nearly does; those of round {newest} in {ours}: our networks "
+            "succeed more often than the paper's, so our later rounds hold more positives."
+        )
+
+
+def _rates(rows: Sequence[StepCount]) -> str:
+    """Shares of positives by task, as text."""
+    found = {task: [row for row in rows if row.task == task] for task in TASKS}
+    return ", ".join(
+        f"{task} {100 * sum(row.positives for row in own) / reached:.1f} %"
+        for task, own in found.items()
+        if (reached := sum(row.reached for row in own))
     )
 
 

@@ -50,7 +50,7 @@ def test_a_package_of_your_own(heading: str, some: str, tmp_path: Path) -> None:
     python(tmp_path, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests", *(["-k", some] if some else []))
 
 
-@pytest.mark.parametrize("heading", ["Add a task", "Add a column", "Add a failure label"])
+@pytest.mark.parametrize("heading", ["Add a task", "Add an axis", "Add a column", "Add a failure label"])
 def test_a_change_of_rema(heading: str, tmp_path: Path) -> None:
     for package in ("rema_data", "evaluator", "baselines"):
         shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))

@@ -14,10 +14,15 @@ import pytest
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 API = {
     "rema_data": "rema_data",
+    "rema_data.convert": "rema_data",
+    "rema_data.diff": "rema_data",
     "rema_data.download": "rema_data",
+    "rema_data.publish": "rema_data",
     "rema_data.testing": "rema_data.testing",
     "rema_data.testing.formats": "rema_data.testing",
     "evaluator": "evaluator",
+    "evaluator.statistics": "evaluator",
+    "evaluator.view": "evaluator",
     "evaluator.policy.contract": "policy",
     "evaluator.testing.engines": "evaluator.testing",
     "evaluator.testing.policies": "evaluator.testing",

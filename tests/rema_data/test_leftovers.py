@@ -72,6 +72,15 @@ def test_without_locks_it_is_written_and_nothing_is_removed(
     assert names(tmp_path) == [".result.json.12345678", "result.json"]
 
 
+def test_a_folder_that_was_made_for_it_is_removed_where_nothing_else_is_in_it(tmp_path: Path) -> None:
+    for kept in (False, True):
+        with temporary_folder(".some-", tmp_path / "new" / "place") as folder:
+            assert folder.parent == tmp_path / "new" / "place"
+            if kept:
+                (folder.parent / "result").write_text("")
+        assert (tmp_path / "new" / "place" / "result").exists() == (tmp_path / "new").exists() == kept
+
+
 def test_a_link_is_not_followed(tmp_path: Path) -> None:
     (tmp_path / "kept").mkdir()
     (tmp_path / ".made-12345678").symlink_to(tmp_path / "kept")

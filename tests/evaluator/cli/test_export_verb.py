@@ -120,7 +120,7 @@ def test_an_import_says_what_differs(release: ReleaseFolder) -> None:
         (("export", "{release}", "--output", "out", "--maps", "feet"), "'feet' is not one of"),
         (("import",), "Missing argument"),
         (("import", "nothing"), "there is no file nothing"),
-        (("import", "{release}"), "there is no HDF5 file in"),
+        (("import", "{release}"), "it has no HDF5 file, and no"),
         (("import", "{release}/manifest.json", "--output", "x"), "it is not an HDF5 file"),
     ],
 )

@@ -56,7 +56,10 @@ def test_missing_blocks_are_named_and_the_others_are_shown(copied: Path) -> None
     source = open_source(str(copied))
     assert len(source.table) == 62
     (notice,) = source.notices
-    assert "1 blocks of tiny are not on this machine" in notice.message and "round-2/grasp_push/train" in notice.message
+    assert (
+        "1 blocks of tiny are missing or not whole on this machine" in notice.message
+        and "round-2/grasp_push/train" in notice.message
+    )
     assert notice.hint
 
 
@@ -80,7 +83,7 @@ def test_a_release_without_a_whole_table_is_refused(copied: Path) -> None:
 def test_a_release_without_any_block_is_refused(copied: Path) -> None:
     for path in copied.glob("round-*"):
         shutil.rmtree(path)
-    with pytest.raises(MissingFileError, match="not on this machine"):
+    with pytest.raises(MissingFileError, match="not whole on this machine"):
         open_source(str(copied))
 
 

@@ -30,7 +30,7 @@ def refuse(sources: list[Path], tmp_path: Path, kind: type[RemaError], words: st
 
 def test_files_that_are_not_there(tmp_path: Path) -> None:
     refuse([tmp_path / "no.hdf5"], tmp_path, MissingFileError, "there is no file .*no.hdf5")
-    refuse([tmp_path], tmp_path, MissingFileError, "there is no HDF5 file in")
+    refuse([tmp_path], tmp_path, MissingFileError, "it has no HDF5 file, and no")
     refuse([], tmp_path, MissingFileError, "no file to import was named")
 
 

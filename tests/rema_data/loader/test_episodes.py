@@ -82,6 +82,6 @@ def test_mistakes_are_errors_at_once(small: ReleaseFolder) -> None:
     with pytest.raises(InputError, match="has no task fly"):
         release.iter_episodes(tasks=["fly"])
     (small.path / "round-1" / "push" / "val" / "steps.parquet").unlink()
-    with pytest.raises(MissingFileError, match="1 blocks of tiny are not on this machine"):
+    with pytest.raises(MissingFileError, match="1 blocks of tiny are missing or not whole on this machine"):
         release.iter_episodes()
     assert len(list(release.iter_episodes(tasks=["grasp"]))) > 0

@@ -122,7 +122,7 @@ def test_blocks_are_here_when_all_their_files_have_their_size(places: Path, tiny
     (release.path / "round-1" / "grasp_push" / "train" / "maps.zarr" / "scene" / "c" / "0" / "0" / "0").unlink()
     assert [block.key.path for block in release.blocks()] == ["round-1/grasp/train", "round-1/grasp_push/val"]
     release.require(release.manifest.select("grasp", split="train"))
-    with pytest.raises(MissingFileError, match="2 blocks of tiny are not on this machine") as caught:
+    with pytest.raises(MissingFileError, match="2 blocks of tiny are missing or not whole on this machine") as caught:
         release.require(release.manifest.blocks)
     assert caught.value.hint == "fetch them: rema download tiny --task grasp --task grasp_push --source URL"
 
