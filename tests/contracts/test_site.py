@@ -68,6 +68,8 @@ def test_the_tutorial_runs(name: str, tmp_path: Path, monkeypatch: pytest.Monkey
     reason = "tutorials need the extra `docs`"
     read = pytest.importorskip("myst_nb.core.read", reason=reason)
     nbclient = pytest.importorskip("nbclient", reason=reason)
+    if "import jax" in (DOCS / "tutorials" / f"{name}.md").read_text(encoding="utf-8"):
+        pytest.importorskip("jax", reason=reason)
     monkeypatch.setenv("REMA_HOME", str(tmp_path / "home"))
     monkeypatch.setenv("PATH", os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")]))
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(DOCS.parent), os.environ.get("PYTHONPATH", "")]))
