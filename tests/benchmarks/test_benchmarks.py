@@ -88,7 +88,9 @@ def test_noisy_observations_are_the_frozen_ones(tmp_path: Path) -> None:
 
 @pytest.mark.benchmark
 def test_memory(tmp_path: Path) -> None:
-    content = measured(tmp_path, "memory", "--episodes", "20", "--engine-episodes", "60")
+    content = measured(
+        tmp_path, "memory", "--episodes", "20", "--engine-episodes", "60", "--release", "rema-sample", "--updates", "2"
+    )
     assert content["numbers"]["two_workers_mb"] > 0
 
 
