@@ -36,7 +36,7 @@ class MapForm(NamedTuple):
 
 
 class _Noted(NamedTuple):
-    """An array or an attribute as it was written. Nothing that HDF5 reads as that type and shape has another one."""
+    """An array or an attribute as it was written. Checksums of HDF5 cover what it says of types and shapes."""
 
     dtype: np.dtype[Any]
     shape: tuple[int, ...]
@@ -113,7 +113,7 @@ class Written:
                 for name, array in self._arrays.items():
                     step()
                     values, kind = np.empty(array.shape, array.dtype), self._kind(array.dtype)
-                    h5d.open(file.id, name).read(h5s.ALL, h5s.ALL, values, mtype=kind)
+                    h5d.open(file.id, name).read(self._space(array.shape), h5s.ALL, values, mtype=kind)
                     if _digest(values) != array.digest:
                         return name.decode()
                 for name, digests in self._maps.items():
