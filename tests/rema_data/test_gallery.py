@@ -70,7 +70,7 @@ def test_blocks_that_are_not_here_are_left_out(tiny: ReleaseFolder, tmp_path: Pa
     part = ReleaseFolder(tiny.manifest, tmp_path)
     shutil.rmtree(tmp_path / "tiny" / "round-1" / "grasp")
     assert {step.row["task"] for step in find_steps(part)} == {"grasp_push"}
-    with pytest.raises(MissingFileError, match="not on this machine"):
+    with pytest.raises(MissingFileError, match="not whole on this machine"):
         find_steps(part, ["grasp"])
 
 

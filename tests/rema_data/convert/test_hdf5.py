@@ -127,7 +127,7 @@ def test_another_export_is_not_overwritten(options: ExportOptions, release: Rele
 def test_what_is_not_there_cannot_be_exported(release: ReleaseFolder, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="has no task push"):
         export_release(release, tmp_path, tasks=["push"])
-    with pytest.raises(MissingFileError, match="not on this machine") as missing:
+    with pytest.raises(MissingFileError, match="not whole on this machine") as missing:
         export_release(ReleaseFolder(release.manifest, tmp_path / "empty"), tmp_path)
     assert "copy them again" in missing.value.hint
     assert files(tmp_path) == {}
