@@ -176,7 +176,7 @@ class FormatContract:
         """Neither a release nor a temporary folder."""
         with pytest.raises(KeyboardInterrupt):
             import_release([exported], tmp_path / "back", format=self.format, progress=_Stop())
-        assert list((tmp_path / "back").iterdir()) == []
+        assert not (tmp_path / "back").exists()
 
     @pytest.mark.parametrize("limit", [3_000, 30_000])
     def test_a_full_disk_is_an_error_and_leaves_nothing(
@@ -193,7 +193,7 @@ class FormatContract:
             if limit < 10_000:  # of a release, the datasheet is larger
                 with pytest.raises(StorageError):
                     import_release([exported], tmp_path / "back", format=self.format)
-                assert list((tmp_path / "back").iterdir()) == []
+                assert not (tmp_path / "back").exists()
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
         assert _files(tmp_path / "export").items() <= _files(exported).items()

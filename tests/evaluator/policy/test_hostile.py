@@ -251,7 +251,7 @@ def test_a_run_of_nothing_but_faults_ends_with_each_counted(name: str, fake_home
     """Full disk, no memory, no answer: the run says so and stops, and what it recorded is there."""
     from evaluator.runner import run_evaluation
 
-    limits = replace(SMALL, batch_s=0.2, single_s=0.2) if name == "Dawdles" else SMALL
+    limits = replace(SMALL, batch_s=0.2, observation_s=0.1, single_s=0.2) if name == "Dawdles" else SMALL
     backend = hosting(policy(name), limits)
     config = fake_config(fake_home / "run", episodes=3, batch_size=1, engine="inline")
     with pytest.raises(PolicyFailureError, match="failed on 3 of 3"):

@@ -14,7 +14,7 @@ PATIENT = PolicyLimits(start_s=120, batch_s=60, single_s=60)
 SMALL = PolicyLimits(
     start_s=120, batch_s=60, memory_bytes=400 << 20, disk_bytes=48 << 20, disk_files=100, tasks=64, open_files=256
 )
-SHORT = replace(SMALL, batch_s=1.0, single_s=1.0)
+SHORT = replace(SMALL, batch_s=1.0, observation_s=0.1, single_s=1.0)
 _LIMITS = {
     "Stops": SHORT,
     "HoldsInterpreter": SHORT,
