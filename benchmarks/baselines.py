@@ -226,7 +226,7 @@ def page(plan: RecursionPlan, images: Path) -> str:
         + (" Rounds 1 to 3 were played with an earlier decision rule: see above." if plan.name == "rema-v0" else ""),
         "The whole release beside the paper's Table 2, as `rema stats --check-paper` shows it:",
         paper_table(comparison),
-        comparison.remarks[-1],
+        "\n".join(f"- {remark}" for remark in comparison.remarks),
         "## What the recursion costs",
         costs_table(plan),
         "`rema rounds` recorded these times on the machine that made the release. For a stage that was interrupted, "

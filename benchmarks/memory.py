@@ -77,16 +77,7 @@ def two_workers(cases: list[Case], episodes: int) -> tuple[float, float]:
 def training(release: str, updates: int) -> tuple[float, float]:
     """Largest own memory of a training, and largest resident memory with the pages of mapped files, MB."""
     with tempfile.TemporaryDirectory() as temporary:
-        words = [
-            "--primitive",
-            "grasp",
-            "--tasks",
-            "grasp",
-            "--updates",
-            str(updates),
-            "--validate-every",
-            str(updates),
-        ]
+        words = f"--primitive grasp --tasks grasp --updates {updates} --validate-every {updates}".split()
         command = [sys.executable, "-m", "evaluator.cli", "train", "--release", release, "--output", temporary, *words]
         with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
             own = resident = 0.0

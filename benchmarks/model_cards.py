@@ -51,13 +51,13 @@ def card(policy: str, shipped: Shipped, rows: list[Row]) -> list[str]:
     return [*parts, rate_table(policy, rows) or "These networks have no verified row on the leaderboard yet."]
 
 
-def earlier() -> list[str]:
+def others() -> list[str]:
     """The section of the networks that no policy has: those of earlier releases, and of single rounds."""
     played = {folder for shipped in shipped_policies().values() for folder in (shipped.folder, *_folders(shipped))}
     found = sorted({path.parent.relative_to(CHECKPOINTS).as_posix() for path in CHECKPOINTS.rglob("*.safetensors")})
     folders = [folder for folder in found if folder not in played]
     return [
-        "## Earlier networks",
+        "## Other networks",
         "A clone also has the networks of earlier releases and of single rounds. Each plays by its folder: "
         f"`rema evaluate tae --checkpoint releases/checkpoints/{folders[0]} --task grasp`.",
         "\n".join(f"- `releases/checkpoints/{folder}`" for folder in folders),
@@ -74,7 +74,7 @@ def main() -> int:
     parts = [TITLE.strip()]
     for policy, shipped in shipped_policies().items():
         parts += card(policy, shipped, rows)
-    parts += earlier()
+    parts += others()
     PAGE.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
     print(PAGE.relative_to(ROOT))
     return 0

@@ -146,16 +146,15 @@ def _remarks(paper: dict[str, Counts]) -> tuple[str, ...]:
 
 
 def _rates_remark(statistics: Statistics) -> Iterator[str]:
-    """Why the shares of positives differ, where a release has rounds of a random and of another policy."""
+    """Why the shares of positives differ, where a release has rounds of the random and of other policies."""
     last = [row for row in statistics.steps if row.last]
     newest = max((row.round for row in last), default=0)
     random = _rates([row for row in last if row.policy == RANDOM])
     ours = _rates([row for row in last if row.round == newest and row.policy != RANDOM])
     if random and ours:
         yield (
-            "The shares of positives follow from who collected. Last steps that the random policy played succeed in "
-            f"{random}, as the paper's random policy nearly does; those of round {newest} in {ours}: our networks "
-            "succeed more often than the paper's, so our later rounds hold more positives."
+            "The shares of positives follow from who collected: last steps that the random policy played succeed in "
+            f"{random}; those of round {newest}, by other policies, in {ours}."
         )
 
 

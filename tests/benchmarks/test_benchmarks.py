@@ -92,6 +92,7 @@ def test_memory(tmp_path: Path) -> None:
         tmp_path, "memory", "--episodes", "20", "--engine-episodes", "60", "--release", "rema-sample", "--updates", "2"
     )
     assert content["numbers"]["two_workers_mb"] > 0
+    assert 0 < content["numbers"]["training_mb"] < content["numbers"]["training_resident_mb"]
 
 
 @pytest.mark.benchmark

@@ -13,13 +13,7 @@ from filelock import FileLock
 
 from baselines.rounds.play import draw_scenario
 from baselines.rounds.work import work_path
-from rema_data.errors import (
-    InfrastructureError,
-    InputError,
-    IntegrityError,
-    RunMismatchError,
-    StorageError,
-)
+from rema_data.errors import InfrastructureError, InputError, IntegrityError, RunMismatchError, StorageError
 from rema_data.release.folder import ReleaseFolder
 from rema_data.store.block import BlockKey
 from tests.baselines.rounds.fakes import collect_fake, interrupted, tree, write_plan

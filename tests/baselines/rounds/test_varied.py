@@ -10,9 +10,7 @@ import pytest
 
 from baselines.rounds.play import draw_scenario
 from evaluator.scenarios.varied import Vary
-from rema_data.errors import (
-    RunMismatchError,
-)
+from rema_data.errors import RunMismatchError
 from rema_data.release.folder import ReleaseFolder, find_release
 from rema_data.store.block import BlockKey
 from rema_data.store.tables import outcome_of, situation_of, variation_of

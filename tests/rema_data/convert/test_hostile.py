@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -167,3 +169,14 @@ def test_hard_links_are_parts_of_the_file(export: Path, tmp_path: Path) -> None:
         del file[SCENE]
         file[SCENE] = file["again"]
     assert import_release([path], tmp_path / "back").release.manifest.blocks[0].task == TASK
+
+
+def test_a_file_is_looked_through_part_by_part(tmp_path: Path) -> None:
+    """Its many parts take longer together than any part may; more parts than it has room for would be a circle."""
+    with h5py.File(tmp_path / "parts.hdf5", "w", libver="v110") as file:
+        for number in range(10_000):
+            file.create_group(str(number))
+    look = "from pathlib import Path; from rema_data.convert import hdf5_probe as p; {}; p._main(Path({!r}))"
+    for change, whole in (("p._SECONDS = 2", True), ("p._PART_BYTES = 1 << 10", False)):
+        command = [sys.executable, "-c", look.format(change, str(tmp_path / "parts.hdf5"))]
+        assert (subprocess.run(command, check=False, capture_output=True).returncode == 0) == whole

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shutil
 from pathlib import Path
@@ -84,3 +85,11 @@ def test_numbers_come_from_the_published_file(tmp_path: Path, monkeypatch: pytes
     path.write_text("{}")
     with pytest.raises(IntegrityError, match="cannot be read"):
         published_counts()
+
+
+def test_shares_are_explained_by_who_collected() -> None:
+    assert not any("who collected" in remark for remark in compare(OURS).remarks)  # the random policy alone
+    later = dataclasses.replace(row("grasp", 0, 50, 45), round=2, policy="tae")
+    remark = compare(dataclasses.replace(OURS, steps=(*OURS.steps, later))).remarks[-1]
+    assert "random policy played succeed in grasp 29.2 %, grasp_push 11.1 %, grasp_grasp_push 28.6 %" in remark
+    assert remark.endswith("those of round 2, by other policies, in grasp 90.0 %.")
