@@ -58,7 +58,7 @@ functions of a scenario and an action, as in the clean protocol, whose lists, co
 touch.
 
 Every scenario also has the sha256 of its maps. A run compares them before it asks the policy: a machine that works the
-noise out differently ends it with exit code 6, at the first 512 observations.
+noise out differently ends it with exit code 6, at the first observations.
 
 A scenario without noise or displacement can be solved: one of {tries} actions, those of the reference policy first,
 solves it. One that cannot is drawn again, so the ceiling of such a cell is 100 %.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -101,29 +102,29 @@ def evaluate(
 
     spec = resolve(str(policy))
     run_shard = None if shard is None else RunShard.parse(shard)
+    config = EvaluationConfig(  # refuses what cannot be used before a list is drawn
+        policy=spec,
+        task=task,
+        output=Path(),
+        checkpoint=weights_of(spec, None if checkpoint is None else Path(checkpoint), task),
+        device=device,
+        protocol=protocol,
+        split=split,
+        episodes=1 if episodes is None else episodes,
+        engine=engine,
+        workers=workers,
+        batch_size=batch_size,
+        sandbox=sandbox,
+        address=address,
+    )
     version, count = _scenarios(task, split, protocol, suite, fresh, episodes, workers, progress)
     name = f"{spec.name}-{task}-{suite or protocol}" + ("" if split == "test" else f"-{split}")
     if fresh is not None:
         name += f"-{version}"
     if run_shard is not None:
         name += f"-shard-{run_shard.number}-of-{run_shard.count}"
-    config = EvaluationConfig(
-        policy=spec,
-        task=task,
-        output=Path("runs") / name if output is None else Path(output),
-        checkpoint=weights_of(spec, None if checkpoint is None else Path(checkpoint), task),
-        device=device,
-        protocol=protocol,
-        split=split,
-        version=version,
-        episodes=count,
-        engine=engine,
-        workers=workers,
-        batch_size=batch_size,
-        sandbox=sandbox,
-        address=address,
-        shard=run_shard,
-    )
+    place = Path("runs") / name if output is None else Path(output)
+    config = dataclasses.replace(config, output=place, version=version, episodes=count, shard=run_shard)
     if quick is None:
         return run_evaluation(config, progress)
     if run_shard is not None:
@@ -156,18 +157,21 @@ def _scenarios(
                 field="protocol",
             )
         length = suite_length(suite, task, split)
-        return suite, episodes or length
+        return suite, length if episodes is None else episodes
     if fresh is not None:
+        from evaluator.protocol import FRESH_SCENARIOS
         from evaluator.runner.fresh import fresh_list
-        from evaluator.scenarios.fresh import COUNT
 
         if split != "test":
             raise InputError(f"a fresh list has no {split} split", hint="drop --split")
-        return fresh_list(fresh, task, episodes or COUNT, workers, progress), episodes or COUNT
+        count = FRESH_SCENARIOS if episodes is None else episodes
+        return fresh_list(fresh, task, count, workers, progress), count
     from evaluator.scenarios.lists import installed_list
 
-    found = None if episodes else installed_list(task, split)
-    return None, episodes or (found[1] if found else 1)  # without a list the run says what is missing
+    if episodes is not None:
+        return None, episodes
+    found = installed_list(task, split)
+    return None, found[1] if found else 1  # without a list the run says what is missing
 
 
 def read_run(path: str | Path, *, progress: Progress | None = None) -> Run:

@@ -21,9 +21,11 @@ __all__ = [
     "FAULT_LIMIT",
     "FIRST_LOOK",
     "FLIP_LIMIT",
+    "FRESH_SCENARIOS",
     "INFRA_LIMIT",
     "MAX_BATCH",
     "PROTOCOLS",
+    "SCENARIOS",
     "acting_steps",
     "check_protocol",
     "protocol",
@@ -48,6 +50,10 @@ FIRST_LOOK = 100
 """Episodes of a quick run before its first test; every later test comes after twice as many."""
 MAX_BATCH = 4096
 """Observations in one question to a policy: about a gigabyte."""
+SCENARIOS = {"test": 10_000, "val": 2_000}
+"""Scenarios of the frozen lists of a task, by split."""
+FRESH_SCENARIOS = 2_000
+"""Scenarios of a fresh list."""
 
 PROTOCOLS: dict[str, str] = {
     "conditional": (

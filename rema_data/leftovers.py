@@ -11,7 +11,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 try:
@@ -35,7 +35,13 @@ def temporary_file(path: Path) -> Iterator[tuple[Path, int]]:
     remove_abandoned(path.parent, prefix)
     while True:
         descriptor, name = tempfile.mkstemp(prefix=prefix, dir=path.parent)
-        with _locked(Path(name)) as locked:
+        with ExitStack() as held:
+            try:
+                locked = held.enter_context(_locked(Path(name)))
+            except OSError:
+                os.close(descriptor)
+                Path(name).unlink(missing_ok=True)
+                raise
             if locked is not False:
                 yield Path(name), descriptor
                 return
@@ -55,7 +61,12 @@ def temporary_folder(prefix: str, parent: Path | None = None) -> Iterator[Path]:
     remove_abandoned(place, prefix)
     while True:
         folder = Path(tempfile.mkdtemp(prefix=prefix, dir=place))
-        with _locked(folder) as locked:
+        with ExitStack() as held:
+            try:
+                locked = held.enter_context(_locked(folder))
+            except OSError:
+                folder.rmdir()
+                raise
             if locked is not False:
                 try:
                     yield folder
@@ -73,7 +84,7 @@ def remove_abandoned(parent: Path, prefix: str) -> None:
     with suppress(OSError), os.scandir(parent) as entries:
         found = [Path(entry.path) for entry in entries if pattern.fullmatch(entry.name) and not entry.is_symlink()]
         for path in found:
-            with _locked(path) as locked:
+            with suppress(OSError), _locked(path) as locked:  # it may be another user's
                 if locked and path.is_dir():
                     shutil.rmtree(path, ignore_errors=True)
                 elif locked:
@@ -82,13 +93,16 @@ def remove_abandoned(parent: Path, prefix: str) -> None:
 
 @contextmanager
 def _locked(path: Path) -> Iterator[bool | None]:
-    """Hold the lock of a file or folder in the block: whether it could be had; None where the system has no locks."""
+    """Hold the lock of a file or folder in the block: whether it could be had; None where the system has no locks.
+
+    Raises OSError where the file cannot be opened, although it is there.
+    """
     if fcntl is None:
         yield None
         return
     try:
         descriptor = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)  # NFS locks only what may be written
-    except OSError:  # another process has removed it, or owns it
+    except FileNotFoundError:  # another process has removed it
         yield False
         return
     try:

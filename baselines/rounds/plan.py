@@ -48,8 +48,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, StringConstraints, ValidationInfo, field_validator
 
 from baselines.devices import LEARNED, inference_device
-from evaluator.policy.loading import PolicySpec, check_checkpoint, resolve
-from evaluator.policy.shipped import shipped_checkpoint
+from evaluator.policy.loading import PolicySpec, check_checkpoint, resolve, weights_of
 from evaluator.scenarios.axes import AXES
 from evaluator.scenarios.varied import CLEAN, Vary, axes_in
 from rema_data.errors import InputError, MissingFileError, RemaError
@@ -304,7 +303,7 @@ def _policy(path: Path, where: str, task: str, use: _Policy, networks: _Networks
     """A policy with the files that it needs for a task: relative paths start in the plan's folder."""
     try:
         spec = resolve(str(path.parent / os.path.expanduser(use.code)) if ".py" in use.code else use.code)
-        found = shipped_checkpoint(spec.name, task) if use.checkpoint is None else networks(use.checkpoint)
+        found = weights_of(spec, None, task) if use.checkpoint is None else networks(use.checkpoint)
     except RemaError as error:
         message = f"{path}: {where}: {error.message}"
         raise type(error)(message, hint=error.hint, **{**error.facts, "field": where}) from error

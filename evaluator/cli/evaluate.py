@@ -8,16 +8,18 @@ from typing import Any
 import click
 
 from evaluator.cli.options import engine_options, json_option, policy_options
-from evaluator.protocol import BLANKED, PROTOCOLS
+from evaluator.protocol import BLANKED, FRESH_SCENARIOS, MAX_BATCH, PROTOCOLS
 from rema_data.schema import TASKS
 
 __all__ = ["evaluate"]
+
+_EPISODES = f"First N scenarios.  [default: all; of a fresh list {FRESH_SCENARIOS}]"
 
 
 @click.command()
 @click.argument("policy")
 @click.option("--task", required=True, type=click.Choice(list(TASKS)), help="What has to be done.")
-@click.option("--episodes", type=click.IntRange(min=1), help="First N scenarios.  [default: all; of a fresh list 2000]")
+@click.option("--episodes", type=click.IntRange(min=1), help=_EPISODES)
 @click.option("--suite", metavar="hard-v1", help="Play a generalisation suite in place of the clean scenarios.")
 @click.option("--fresh", type=int, metavar="SEED", help="Draw a list from a seed, and play it: see docs/evaluate.md.")
 @policy_options
@@ -32,7 +34,9 @@ __all__ = ["evaluate"]
 )
 @click.option("--split", type=click.Choice(["test", "val"]), default="test", show_default=True, help="Scenario list.")
 @click.option("--output", type=click.Path(path_type=Path), help="Run folder.  [default: runs/POLICY-TASK-PROTOCOL]")
-@click.option("--batch-size", type=click.IntRange(1, 4096), default=64, show_default=True, help="Observations a call.")
+@click.option(
+    "--batch-size", type=click.IntRange(1, MAX_BATCH), default=64, show_default=True, help="Observations a call."
+)
 @click.option(
     "--quick",
     metavar="RUN",

@@ -24,7 +24,7 @@ def fresh() -> None:
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="[default: a random one]")
 def commit(seed: int | None) -> None:
     """Print a seed, to be kept secret, and the sha256 to publish."""
-    from evaluator.scenarios.fresh import commitment
+    from evaluator.scenarios.seeds import commitment
 
     chosen = secrets.randbelow(2**63) if seed is None else seed
     line(f"seed (keep it secret): {chosen}")
@@ -36,7 +36,7 @@ def commit(seed: int | None) -> None:
 @click.argument("sha256")
 def reveal(seed: int, sha256: str) -> None:
     """Check that SEED is the one that was committed to with SHA256."""
-    from evaluator.scenarios.fresh import commitment
+    from evaluator.scenarios.seeds import commitment
     from rema_data.errors import IntegrityError
 
     if commitment(seed) != sha256.strip().lower():

@@ -10,6 +10,7 @@ import click
 
 from evaluator.cli.options import checkpoint_option, device_option, tasks_option, workers_option
 from evaluator.cli.output import line
+from evaluator.protocol import SCENARIOS
 from rema_data.schema import TASKS
 
 if TYPE_CHECKING:
@@ -21,8 +22,10 @@ __all__ = ["scenarios"]
 @click.command(name="scenarios")
 @click.argument("version")
 @tasks_option
-@click.option("--test", "test_count", default=10_000, show_default=True, help="Scenarios in each test list.")
-@click.option("--val", "val_count", default=2_000, show_default=True, help="Scenarios in each validation list.")
+@click.option("--test", "test_count", default=SCENARIOS["test"], show_default=True, help="Scenarios in each test list.")
+@click.option(
+    "--val", "val_count", default=SCENARIOS["val"], show_default=True, help="Scenarios in each validation list."
+)
 @click.option("--picker", help="Policy that picks the tools, such as tae.  [default: the reference picks]")
 @checkpoint_option
 @device_option

@@ -10,6 +10,7 @@ from scipy.stats import fisher_exact
 from evaluator.leaderboard.ranking import LEVEL
 from evaluator.run.run import Run
 from evaluator.scenarios import installed_list
+from evaluator.scenarios.seeds import seed_of
 from evaluator.statistics import difference_interval, holm
 
 __all__ = ["FreshGap", "fresh_counts", "fresh_gaps", "fresh_remarks"]
@@ -36,10 +37,12 @@ def fresh_counts(runs: Sequence[Run]) -> dict[Key, Counts]:
     """
     longest: dict[tuple[Key, str], Run] = {}
     for run in runs:
+        if not run.verified:  # of an entry that was not simulated here, nothing is known
+            continue
         listed = installed_list(run.task, run.split, run.version)
         whole = listed is not None and run.counts.episodes == listed[1] and not run.unfinished
-        if run.verified and whole and not run.stopped_early and run.provenance.policy_digest:
-            seed = run.version.rpartition("-")[0]
+        if whole and not run.stopped_early and run.provenance.policy_digest:
+            seed = seed_of(run.version)
             known = longest.setdefault(((run.protocol, run.same_policy), seed), run)
             if run.counts.episodes > known.counts.episodes:
                 longest[(run.protocol, run.same_policy), seed] = run

@@ -78,7 +78,7 @@ def row_of(run: Run, **standing: Any) -> Row:
     comparable = run.verified and run.protocol == "conditional" and run.tag not in ("submitted", "simulator")
     known = published_rate(run.policy, run.task) if comparable else None
     if known is not None and counts.eligible:
-        z, _ = z_against_published(counts.successes, counts.eligible, known)
+        z, _ = z_against_published(counts.successes, counts.eligible, known, int(published_table()["episodes"]))
     return Row(
         successes=counts.successes,
         episodes=counts.eligible,

@@ -77,7 +77,7 @@ def suite_rows(runs: Sequence[Run], clean: Mapping[tuple[str, str, str], float |
     adjusted = holm([_p(again[a] - again[b]) for a, b in pairs])
     different = {pair for pair, p in zip(pairs, adjusted, strict=True) if p <= LEVEL}
     scores = {n: score_of(run.task, *found[n]) for n, run in enumerate(known)}
-    order = sorted(range(len(known)), key=lambda n: -(scores[n].hard or -1.0))
+    order = sorted(range(len(known)), key=lambda n: (scores[n].hard is None, -(scores[n].hard or 0.0)))
     letters: dict[int, str] = {}
     for group in {_group(run) for run in known}:
         members = [n for n in order if n in again and _group(known[n]) == group]

@@ -11,16 +11,18 @@ from typing import Any, Literal
 from evaluator.policy.contract import ObservationBatch
 from evaluator.policy.faults import Answer, FaultReason, PolicyFault
 from evaluator.policy.sandbox.limits import PolicyLimits
-from evaluator.protocol import ACTION_FLIP_LIMIT, FAULT_LIMIT
+from evaluator.protocol import ACTION_FLIP_LIMIT, FAULT_LIMIT, SCENARIOS
 
-__all__ = ["SCENARIOS", "CheckResult", "PolicyReport", "Same", "time_result", "validity_result"]
+__all__ = ["CheckResult", "PolicyReport", "Same", "time_result", "validity_result"]
 
-SCENARIOS = 10_000
-"""Scenarios of a full run."""
 _SLOW_S = 1.0
+_LIMITS = PolicyLimits()
+_SCENARIOS = SCENARIOS["test"]
+"""Of a full run."""
 _FIXES = {
     FaultReason.EXCEPTION: "fix the line that is named; every task and step must be answered",
-    FaultReason.TIMEOUT: "answer faster: a batch of 64 has 60 s, one observation 20 s",
+    FaultReason.TIMEOUT: f"answer faster: a batch of 64 has {_LIMITS.seconds(64):g} s, "
+    f"one observation {_LIMITS.single_s:g} s",
     FaultReason.DIED: "look at what ended the process: memory, an exit, a crash in a library",
     FaultReason.RESTART: "make the constructor succeed in every new process",
     FaultReason.SHAPE: "return one action an observation: (N, 3) of i, j, k, or (N,) of (i * 64 + j) * 16 + k",
@@ -69,7 +71,7 @@ class PolicyReport:
     @property
     def projected_s(self) -> float | None:
         """Seconds that the policy needs for one decision in each of 10,000 scenarios."""
-        return None if self.seconds_per_decision is None else SCENARIOS * self.seconds_per_decision
+        return None if self.seconds_per_decision is None else _SCENARIOS * self.seconds_per_decision
 
     def to_dict(self) -> dict[str, Any]:
         """Everything, ready for JSON."""
@@ -125,10 +127,10 @@ def validity_result(answers: Sequence[Sequence[Answer]], returned: str) -> Check
 
 def time_result(each_s: float, batch: int) -> CheckResult:
     """Whether an evaluation has the time for a policy that takes ``each_s`` for a decision in batches of ``batch``."""
-    found = f"{_duration(each_s)} a decision, {_duration(SCENARIOS * each_s)} for {SCENARIOS:,} scenarios"
-    real = PolicyLimits()
-    if each_s * batch > real.seconds(batch) or SCENARIOS * each_s > real.run_s + SCENARIOS * real.observation_s:
-        fix = f"answer a batch of {batch} within {real.seconds(batch):g} s: use a faster --device, or a smaller network"
+    found = f"{_duration(each_s)} a decision, {_duration(_SCENARIOS * each_s)} for {_SCENARIOS:,} scenarios"
+    batch_s, run_s = _LIMITS.seconds(batch), _LIMITS.run_s + _SCENARIOS * _LIMITS.observation_s
+    if each_s * batch > batch_s or _SCENARIOS * each_s > run_s:
+        fix = f"answer a batch of {batch} within {batch_s:g} s: use a faster --device, or a smaller network"
         return CheckResult("time", "refused", found, fix)
     if each_s > _SLOW_S:
         return CheckResult("time", "warning", found, "use a faster --device, or compute the batch as a whole")

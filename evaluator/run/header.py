@@ -16,6 +16,7 @@ from evaluator.policy.named import policy_names
 from evaluator.protocol import BLANKED, PROTOCOLS
 from evaluator.run.audit import AuditNumbers
 from evaluator.scenarios.lists import FRESH, version_of
+from evaluator.scenarios.seeds import count_of, seed_of
 from evaluator.scenarios.suites import suites
 from rema_data.errors import IntegrityError, MissingFileError
 from rema_data.schema import TASKS
@@ -211,7 +212,8 @@ def resume_command(header: dict[str, Any], folder: Path) -> str:
     for option in ("task", "protocol", "split"):
         if option in identity:
             words += [f"--{option}", str(identity[option])]
-    words += _list_options(identity)
+    version = _version(identity)
+    words += _list_options(version)
     devices = [segment["device"] for segment in header["segments"] if isinstance(segment.get("device"), str)]
     if devices:
         words += ["--device", devices[-1]]
@@ -219,16 +221,21 @@ def resume_command(header: dict[str, Any], folder: Path) -> str:
         noted = {str(segment[option]) for segment in header["segments"] if segment.get(option) is not None}
         if len(noted) == 1:  # a merged run has several shards, and continues as a whole
             words += [f"--{option.replace('_', '-')}", *noted]
-    words += ["--episodes", str(header["episodes"]), "--output", str(folder)]
+    episodes = count_of(version) if version.startswith(FRESH) else header["episodes"]  # which names a fresh list
+    words += ["--episodes", str(episodes), "--output", str(folder)]
     return shlex.join(words)
 
 
-def _list_options(identity: Mapping[str, Any]) -> list[str]:
-    """The options that name the list of a run, where it is not the clean one; nothing where the list is not here."""
+def _version(identity: Mapping[str, Any]) -> str:
+    """The version of the list of a run; empty where there are no lists at all."""
     try:
-        version = version_of(identity["task"], identity["split"], identity["scenarios_hash"])
-    except MissingFileError:  # there are no lists at all
-        return []
+        return version_of(identity["task"], identity["split"], identity["scenarios_hash"])
+    except MissingFileError:
+        return ""
+
+
+def _list_options(version: str) -> list[str]:
+    """The options that name a list, where it is not the clean one; nothing where the list is not here."""
     if version.startswith(FRESH):
-        return ["--fresh", version.removeprefix(FRESH).partition("-")[0]]
+        return ["--fresh", seed_of(version)]
     return ["--suite", version] if version in suites() else []

@@ -29,9 +29,11 @@ from evaluator.scenarios.suites import suites
 from rema_data.bounded import parquet_table
 from rema_data.errors import InputError, IntegrityError, MissingFileError
 
-__all__ = ["AGAIN", "Provenance", "Row", "Run"]
+__all__ = ["AGAIN", "COMPARABLE", "Provenance", "Row", "Run"]
 
 AGAIN = "run the same `rema evaluate` again: it writes the tables from its records"
+COMPARABLE = ("task", "split", "protocol", "protocol_hash", "scenarios_hash")
+"""What two runs must share to be compared scenario by scenario."""
 _FINDINGS_NAMED = 3
 
 Row = Mapping[str, Any]
@@ -135,10 +137,8 @@ class Run:
 
     @property
     def comparable(self) -> dict[str, str]:
-        """What two runs must share to be compared scenario by scenario."""
-        return {name: getattr(self, name) for name in ("task", "split", "protocol")} | {
-            name: getattr(self.provenance, name) for name in ("protocol_hash", "scenarios_hash")
-        }
+        """The values of ``COMPARABLE``."""
+        return {name: getattr(self.provenance if name.endswith("_hash") else self, name) for name in COMPARABLE}
 
     @property
     def steps(self) -> tuple[int, ...]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from evaluator.engines import check_engine
-from evaluator.protocol import AUDIT_SHARE, MAX_BATCH, check_protocol
+from evaluator.protocol import AUDIT_SHARE, MAX_BATCH, SCENARIOS, check_protocol
 from rema_data.errors import InputError
 from rema_data.schema import check_task
 
@@ -32,7 +32,7 @@ class EvaluationConfig:
     protocol: str = "conditional"
     split: str = "test"
     version: str | None = None  # of the scenario lists: a suite or a fresh list in place of the ones in force
-    episodes: int = 10_000
+    episodes: int = SCENARIOS["test"]
     engine: str = "process"
     workers: int | None = None
     batch_size: int = 64  # batches are fixed by scenario order, also after a resume

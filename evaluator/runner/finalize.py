@@ -17,6 +17,7 @@ from evaluator.run.derived import derived_of, remember
 from evaluator.run.folder import TIMINGS_FILE, RunFolder
 from evaluator.run.plan import Plan
 from evaluator.run.records import Ledger
+from evaluator.run.run import COMPARABLE
 from evaluator.run.seal import ACTIONS_FILE, RESULTS_FILE, SUMMARY_FILE
 from evaluator.run.summary import summarise
 from evaluator.run.tables import results_table, timings_table, to_parquet
@@ -81,6 +82,6 @@ def remember_run(folder: RunFolder, plan: Plan, ledger: Ledger, tables: RunTable
     if others or unfinished(plan, table) or table.column("infra_error").null_count != table.num_rows:
         return
     identity = folder.header["identity"]
-    rules = {name: identity[name] for name in ("task", "split", "protocol", "protocol_hash", "scenarios_hash")}
+    rules = {name: identity[name] for name in COMPARABLE}
     found = derived_of(table, plan.steps, identity["fingerprint"])
     remember(world_identity(backend), rules, actions_of(table, plan.steps), found)

@@ -13,40 +13,21 @@ from concurrent.futures import Executor
 from contextlib import AbstractContextManager
 
 from evaluator.scenarios.generation import Drawn, enter_list, generate_list, picked_list
-from evaluator.scenarios.lists import (
-    FRESH,
-    installed_list,
-    load_list,
-    manifest_path,
-)
+from evaluator.scenarios.lists import installed_list, load_list, manifest_path
 from evaluator.scenarios.policy_picks import Picker
-from rema_data.errors import InputError
+from evaluator.scenarios.seeds import fresh_version
 from rema_data.locks import lock
 from rema_data.progress import Progress, Silent
 from rema_data.schema import pinch_step, tool_steps
 
-__all__ = ["COUNT", "PICKER", "commitment", "draw_fresh", "fresh_version", "picked_by_policy"]
+__all__ = ["PICKER", "draw_fresh", "picked_by_policy"]
 
-COUNT = 2_000
 PICKER = ("tae", "rema-v0/round-2")
 """The policy that picked the tools of lists v2, and its networks below ``checkpoints``."""
-_MOST = 2**63
-
-
-def fresh_version(seed: int, count: int) -> str:
-    """Name of a fresh list; InputError for a seed that is none."""
-    if not 0 <= seed < _MOST:
-        raise InputError(f"the seed {seed} is not in 0 .. {_MOST - 1}", hint="give another number to --fresh")
-    return f"{FRESH}{seed}-{count}"
 
 
 def _root(seed: int) -> int:
     return int.from_bytes(hashlib.sha256(f"rema fresh {seed}".encode()).digest())
-
-
-def commitment(seed: int) -> str:
-    """What an organiser publishes before an evaluation, and everybody can check when the seed is published: sha256."""
-    return hashlib.sha256(f"rema fresh commitment {seed}".encode()).hexdigest()
 
 
 def picked_by_policy(task: str) -> bool:
@@ -58,17 +39,19 @@ def draw_fresh(
     seed: int,
     task: str,
     count: int,
-    pool: Executor,
+    open_pool: Callable[[], AbstractContextManager[Executor]],
     open_picker: Callable[[], AbstractContextManager[Picker]],
     progress: Progress | None = None,
 ) -> str:
     """The name of the fresh list of a seed, which is drawn where it is not here; ``open_picker`` picks its tools."""
     version, sink = fresh_version(seed, count), progress or Silent()
+    if _is_here(task, version):
+        return version
     manifest = manifest_path(version)
     manifest.parent.mkdir(parents=True, exist_ok=True)
-    with lock(manifest.with_name(".lock"), wait=True):
-        if installed_list(task, "test", version) is not None:
-            load_list(task, "test", version)  # refuses one that was damaged
+    # The pool comes first: a program that each of its processes runs anew would wait for the lock in all of them.
+    with open_pool() as pool, lock(manifest.with_name(".lock"), wait=True):
+        if _is_here(task, version):
             return version
         sink.phase(f"draw {version}", count)
         drawn = []
@@ -77,6 +60,14 @@ def draw_fresh(
             sink.advance(1)
         enter_list(manifest, version, drawn, f"fresh {seed}")
     return version
+
+
+def _is_here(task: str, version: str) -> bool:
+    """Whether a list is on this machine; one that was damaged is refused."""
+    if installed_list(task, "test", version) is None:
+        return False
+    load_list(task, "test", version)
+    return True
 
 
 def _drawn(

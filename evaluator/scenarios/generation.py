@@ -13,6 +13,7 @@ from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from evaluator.protocol import SCENARIOS
 from evaluator.scenarios import (
     SPLITS,
     encode_list,
@@ -22,6 +23,7 @@ from evaluator.scenarios import (
     write_list,
 )
 from evaluator.scenarios.policy_picks import Picker, draw_picked
+from evaluator.scenarios.suites import SUITE
 from evaluator.sim.parameters import parameters_hash
 from evaluator.sim.reference import prepare
 from evaluator.sim.simulator import Simulator, process_simulator
@@ -34,9 +36,9 @@ from rema_data.repair import restore
 from rema_data.schema import TASKS, Scenario, check_task, tool_steps
 
 __all__ = [
-    "COUNTS",
     "ROOT_SEED",
     "Drawn",
+    "check_kind",
     "draw_scenario",
     "enter_list",
     "generate_list",
@@ -48,7 +50,6 @@ __all__ = [
 
 ROOT_SEED = 2112_00359
 """Root of every frozen list; ``test`` and ``val`` are separate domains of it, and collection has a third."""
-COUNTS = {"test": 10_000, "val": 2_000}
 _CHUNK = 50
 _PICKED_CHUNK = 500
 """Scenarios whose picks are asked about together; with the batches of the questions it belongs to a list's identity."""
@@ -106,18 +107,19 @@ def write_lists(
     """Write a new version of the scenario lists and its manifest; a list that the manifest names is never changed.
 
     ``version`` is a folder under ``manifests/scenarios``; ``counts`` has the scenarios of each split, by default
-    ``COUNTS``; ``picker`` picks the tools, by default the privileged reference policy. The new manifest names
-    the present lists of the tasks in ``keep`` and, with a picker, of those without tools; they are not written again. A
-    file that no manifest names was left by a killed process: its list is drawn again.
+    ``evaluator.protocol.SCENARIOS``; ``picker`` picks the tools, by default the privileged reference policy. The new
+    manifest names the present lists of the tasks in ``keep`` and, with a picker, of those without tools; they are not
+    written again. A file that no manifest names was left by a killed process: its list is drawn again.
 
-    Returns the manifest's path. Raises InputError for an unknown task or a count below 1, IntegrityError where the
-    manifest cannot be read, or a list that it names is gone and drawing it again gives another, and StorageError where
-    the disk is full or may not be written.
+    Returns the manifest's path. Raises InputError for an unknown task, a count below 1 or a suite, IntegrityError where
+    the manifest cannot be read, or a list that it names is gone and drawing it again gives another, and StorageError
+    where the disk is full or may not be written.
     """
     manifest, sink = manifest_path(version), progress or Silent()
+    check_kind(manifest, version, suite=False)
     origin = {} if picker is None else {"picker": picker.name, "picker_digest": picker.digest}
     for split in SPLITS:
-        count = (counts or COUNTS)[split]
+        count = (counts or SCENARIOS)[split]
         if count < 1:
             raise InputError(f"a {split} list of {count} scenarios", hint="give each split at least one", count=count)
         for task in (*keep, *tasks):
@@ -142,6 +144,15 @@ def _entries(manifest: Path) -> dict[str, dict[str, Any]]:
     if not manifest.is_file():
         return {}
     return read_manifest(manifest, "scenario manifest", lambda content: dict(content["lists"]))
+
+
+def check_kind(manifest: Path, version: str, *, suite: bool) -> None:
+    """Raise InputError where the lists of a manifest are a suite and should be clean, or the other way round."""
+    if not manifest.is_file():
+        return
+    if suite != read_manifest(manifest, "scenario manifest", lambda content: SUITE in content):
+        what, mend = ("clean lists", "drop --suite") if suite else ("a suite", "add --suite")
+        raise InputError(f"{version} holds {what}", hint=f"{mend}, or choose another VERSION", path=str(manifest))
 
 
 def named_list(manifest: Path, task: str, split: str) -> dict[str, Any] | None:

@@ -21,7 +21,7 @@ import numpy as np
 
 from evaluator.scenarios.axes import AXES, Draw
 from evaluator.scenarios.drawn import keep, kept, work_folder
-from evaluator.scenarios.generation import Drawn, named_list, write_named
+from evaluator.scenarios.generation import Drawn, check_kind, named_list, write_named
 from evaluator.scenarios.lists import load_list, manifest_path
 from evaluator.scenarios.suites import SUITE, Cell, cells
 from evaluator.sim.kinds import kind_of
@@ -123,11 +123,12 @@ def draw_suite(
 
     ``size`` has the scenarios of a cell in each split, by default ``CELL``; ``identity`` is that of the code that
     draws. What was drawn before an interruption is not drawn again. Returns the manifest's path. Raises InputError,
-    before anything is written, for a size that the clean lists are too short for.
+    before anything is written, for a size that the clean lists are too short for, and for a version of clean lists.
     """
     size = size or CELL
     _check_size(size, tasks)
     sink, manifest = progress or Silent(), manifest_path(version)
+    check_kind(manifest, version, suite=True)
     if not manifest.exists():
         axes = {
             axis.name: {"title": axis.title, "levels": axis.levels, "tasks": axis.tasks, "counts": axis.counts}

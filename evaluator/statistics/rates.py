@@ -23,8 +23,6 @@ __all__ = [
     "z_against_published",
 ]
 
-PUBLISHED_EPISODES = 10_000
-"""Episodes behind a published rate: the paper says "over 10K"."""
 _MAX_DIGITS = 4
 
 
@@ -115,9 +113,7 @@ def format_rate(successes: int, n: int, confidence: float = 0.95) -> str:
     return f"{percent(successes / n)} % [{format_interval(rate_interval(successes, n, confidence))}]"
 
 
-def z_against_published(
-    successes: int, n: int, published_rate: float, published_n: int = PUBLISHED_EPISODES
-) -> tuple[float, float]:
+def z_against_published(successes: int, n: int, published_rate: float, published_n: int) -> tuple[float, float]:
     """How far a rate is from a published one, in standard errors (pooled two-proportion test, unpaired).
 
     ``published_rate`` is a share in 0..1 of ``published_n`` episodes.

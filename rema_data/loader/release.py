@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, SupportsIndex
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, SupportsIndex
 import numpy as np
 import numpy.typing as npt
 
-from rema_data.errors import InputError
+from rema_data.errors import InputError, MissingFileError
 from rema_data.loader.build import decode_to_memory, open_cache
 from rema_data.loader.cache import DecodedCache
 from rema_data.progress import Progress
@@ -144,7 +144,7 @@ class Release:
         if which not in ("last", "all", "picks"):
             raise InputError(f"which={which!r} names no steps", hint="use which='last', 'all' or 'picks'")
         chosen = self.manifest.select(tasks, rounds, split)
-        self.folder.require(chosen)
+        self._require(chosen)
         from rema_data.loader.dataset import StepDataset, identity
 
         wanted = {block.key for block in chosen}
@@ -181,6 +181,17 @@ class Release:
             )
         return dataset.select(met)
 
+    def _require(self, chosen: Sequence[BlockEntry]) -> None:
+        """Raise MissingFileError where blocks are not on this machine, or were not when this release was opened."""
+        self.folder.require(chosen)
+        late = [block.key.path for block in chosen if block not in self.blocks]
+        if late:
+            raise MissingFileError(
+                f"release {self.name} was opened before {', '.join(late)} came to this machine",
+                hint=f"open it again: rema_data.load({self.name!r})",
+                blocks=late,
+            )
+
     def _skill_codes(self, names: list[str]) -> list[int]:
         has = list(self.cache.categories["skill"])
         unknown = [name for name in names if name not in has]
@@ -211,7 +222,7 @@ class Release:
             Its block is not on this machine.
         """
         (block,) = self.manifest.select([task], [round], split)
-        self.folder.require([block])
+        self._require([block])
         from rema_data.loader.episodes import read_episode
 
         if self._tables is None or self._tables[0] != block.key:
@@ -254,7 +265,7 @@ class Release:
             As for ``steps``, before the first episode. A selection without episodes is empty.
         """
         chosen = self.manifest.select(tasks, rounds, split)
-        self.folder.require(chosen)
+        self._require(chosen)
         keys = {block.key for block in chosen}
         met = None
         if where is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from rema_data.leftovers import remove_abandoned, temporary_folder
+from rema_data.leftovers import remove_abandoned, temporary_file, temporary_folder
 from rema_data.storage import write_atomic
 
 HOLD = """
@@ -86,3 +87,21 @@ def test_a_link_is_not_followed(tmp_path: Path) -> None:
     (tmp_path / ".made-12345678").symlink_to(tmp_path / "kept")
     remove_abandoned(tmp_path, ".made-")
     assert names(tmp_path) == [".made-12345678", "kept"]
+
+
+def test_a_lock_that_cannot_be_opened_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No descriptor is left for it: nothing is tried again, and nothing is left behind."""
+    opened = os.open
+
+    def refuse(path: Any, flags: int, *more: Any, **options: Any) -> int:
+        if not flags & os.O_CREAT:
+            raise OSError(errno.EMFILE, "Too many open files")
+        return opened(path, flags, *more, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "open", refuse)
+        with pytest.raises(OSError, match="Too many"), temporary_folder(".made-", tmp_path):
+            pass
+        with pytest.raises(OSError, match="Too many"), temporary_file(tmp_path / "result.json"):
+            pass
+    assert names(tmp_path) == []

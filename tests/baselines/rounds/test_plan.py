@@ -10,6 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from baselines.rounds.plan import load_plan
+from evaluator.policy import NamedPolicy
+from evaluator.policy.loading import PolicySpec
 from evaluator.scenarios.varied import Vary
 from rema_data.errors import InputError, MissingFileError, RemaError
 from rema_data.store.block import BlockKey
@@ -175,3 +177,13 @@ def test_the_plans_that_come_with_rema(name: str) -> None:
     assert plan.about.license == "CC-BY-4.0"
     assert len({block.key for block in plan.blocks}) == len(plan.blocks)
     assert "\n" not in plan.about.description
+
+
+def test_a_named_policy_plays_with_the_weights_of_its_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    weights = tmp_path / "weights.bin"
+    weights.write_bytes(b"1")
+    file = tmp_path / "policy.py"
+    file.write_text("class Policy:\n    pass\n")
+    named = NamedPolicy(file, "Policy", "learned", "Carries its weights.", checkpoint=weights)
+    monkeypatch.setattr("baselines.rounds.plan.resolve", lambda name: PolicySpec("carrier", file, "Policy", named))
+    assert {use.checkpoint for block in load_plan(write_plan(tmp_path)).blocks for use in block.policies} == {weights}

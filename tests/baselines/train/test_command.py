@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
 import rema_data
+from baselines.tae.network import Architecture
 from baselines.train import pictures
+from baselines.train.command import train
+from baselines.train.config import TrainingConfig
 from evaluator.cli.main import cli
 
 
@@ -79,3 +83,12 @@ def test_one_training_a_seed(release: rema_data.Release, tmp_path: Path) -> None
 def test_seeds_that_are_none_are_named(release: rema_data.Release, tmp_path: Path, seeds: str) -> None:
     done = CliRunner().invoke(cli, command(release, tmp_path / "out", f"--seeds={seeds}"))
     assert done.exit_code == 2 and "--seeds" in done.output and not (tmp_path / "out").exists()
+
+
+def test_the_defaults_are_those_of_a_plan() -> None:
+    """A network that a plan asks for and one that is trained by hand are the same training."""
+    known = {one.name: one.default for one in (*fields(TrainingConfig), *fields(Architecture))}
+    given = {one.name: one.default for one in train.params if isinstance(one.default, bool | int | float | str)}
+    both = known.keys() & given.keys()
+    assert {"updates", "batch_size", "learning_rate", "balance", "hard_every", "width", "scene_stride"} <= both
+    assert {name: given[name] for name in both} == {name: known[name] for name in both}

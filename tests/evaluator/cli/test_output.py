@@ -24,7 +24,7 @@ from evaluator.cli import output
 from evaluator.cli.main import VERBS, cli
 from evaluator.policy.check_report import CheckResult, PolicyReport
 from evaluator.runner import run_evaluation
-from evaluator.scenarios.fresh import commitment
+from evaluator.scenarios.seeds import commitment
 from rema_data.release.registry import register
 from rema_data.testing import make_release
 from tests.baselines.rounds.fakes import write_plan

@@ -262,3 +262,10 @@ def test_a_report_has_a_map_of_axes_and_levels(tmp_path: Path, monkeypatch: pyte
 def test_what_cannot_be_evaluated(runs: list[Path], options: list[str], words: str) -> None:
     done = CliRunner().invoke(cli, ["evaluate", "random", "--task", "grasp", *options])
     assert done.exit_code == 2 and words in done.stderr
+
+
+def test_a_rate_of_zero_is_better_than_none(runs: list[Path], tmp_path: Path) -> None:
+    part = write_run(tmp_path / "part", np.ones(50, bool), policy="part", suite="hard-v1")
+    zero = write_run(tmp_path / "zero", np.zeros(COUNT, bool), policy="zero", suite="hard-v1")
+    rows = leaderboard([part, *runs, zero], published=False).suites
+    assert [row.policy for row in rows][-2:] == ["zero", "part"] and rows[-2].score.hard == 0

@@ -126,7 +126,7 @@ def test_a_slow_policy_is_asked_less_and_refused(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(checking, "_BUDGET_S", 1.0)
     results = checked(tmp_path, "time.sleep(0.02 * len(observations))\nreturn good(observations)")
     assert refused(results) == [] and int(results["valid actions"].found.split()[0]) < 20
-    monkeypatch.setattr(check_report, "PolicyLimits", lambda: PolicyLimits(batch_s=0.5, observation_s=0.001))
+    monkeypatch.setattr(check_report, "_LIMITS", PolicyLimits(batch_s=0.5, observation_s=0.001))
     results = checked(tmp_path, "time.sleep(0.02 * len(observations))\nreturn good(observations)")
     assert refused(results) == ["time"] and "within 0.5 s" in results["time"].fix
 

@@ -11,8 +11,8 @@ import pytest
 
 from evaluator.cli.evaluate import evaluate
 from evaluator.run.header import resume_command
-from evaluator.scenarios.fresh import fresh_version
 from evaluator.scenarios.lists import VERSION, installed_list, manifest_path, update_manifest
+from evaluator.scenarios.seeds import fresh_version
 from evaluator.scenarios.table import encode_list
 from tests.evaluator.fakes import fake_scenario
 
@@ -53,5 +53,7 @@ def test_the_command_that_goes_on_names_the_list(tmp_path: Path, monkeypatch: py
         assert words[:2] == ["rema", "evaluate"]
         given = evaluate.make_context("evaluate", words[2:]).params  # as the command line reads it
         assert (given["suite"], given["fresh"], given["episodes"]) == (*wanted, 20)
+    header["episodes"] = 8  # a quick run stopped early: its list is named by all of its scenarios
+    assert "--fresh 7 --episodes 20" in resume_command(header, Path("runs/mine"))
     header["identity"]["scenarios_hash"] = "0" * 64  # a list that is not here
     assert not {"--suite", "--fresh"} & set(shlex.split(resume_command(header, Path("runs/mine"))))

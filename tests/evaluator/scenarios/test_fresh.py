@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +17,14 @@ from evaluator.leaderboard.fresh import FreshGap, fresh_counts
 from evaluator.leaderboard.verification import known
 from evaluator.run.reading import read_run
 from evaluator.scenarios import load_list
-from evaluator.scenarios.fresh import commitment, draw_fresh, fresh_version, picked_by_policy
+from evaluator.scenarios.fresh import draw_fresh, picked_by_policy
 from evaluator.scenarios.lists import VERSION, manifest_path, versions
+from evaluator.scenarios.seeds import commitment, fresh_version
 from evaluator.statistics import difference_interval
 from rema_data.errors import InputError, IntegrityError
 from rema_data.schema import TASKS
 from tests.evaluator.fakes import InThisProcess
-from tests.evaluator.runs import solved, use_installation, write_run
+from tests.evaluator.runs import solved, use_installation, write_entry, write_run
 
 
 def no_picker() -> Any:
@@ -34,7 +37,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def draw(seed: int, count: int = 30) -> str:
-    return draw_fresh(seed, "grasp", count, InThisProcess(), no_picker)
+    return draw_fresh(seed, "grasp", count, InThisProcess, no_picker)
 
 
 def test_a_seed_names_one_list(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -136,3 +139,41 @@ def test_the_interval_of_a_difference() -> None:
     """Newcombe 1998, example (a) of method 10."""
     low, high = difference_interval(56, 70, 48, 80)
     assert (low, high) == (pytest.approx(0.0524, abs=1e-4), pytest.approx(0.3339, abs=1e-4))
+
+
+def test_an_entry_that_was_not_simulated_here_counts_for_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A board over it is shown all the same: it has actions, and no counts yet."""
+    use_installation(tmp_path, monkeypatch)
+    clean = write_run(tmp_path / "clean", solved(0.7, 1))
+    fresh = write_run(tmp_path / "fresh", solved(0.5, 2, 50), suite=draw(5, 50))
+    entry = read_run(write_entry(tmp_path / "entry.json", fresh))
+    assert not entry.has_counts and fresh_counts([entry]) == {}
+    (row,) = leaderboard([clean, tmp_path / "entry.json"], published=False).rows
+    assert row.rank == 1
+
+
+def test_a_list_that_is_here_starts_no_process() -> None:
+    version = draw(5)
+
+    def no_pool() -> Any:
+        raise AssertionError("nothing is drawn")
+
+    assert draw_fresh(5, "grasp", 30, no_pool, no_picker) == version
+
+
+def test_a_program_that_cannot_be_imported_anew_is_told_what_it_lacks(tmp_path: Path) -> None:
+    """Its processes import it, and would draw again."""
+    (tmp_path / "script.py").write_text(
+        "import evaluator\nevaluator.evaluate('random', task='grasp', fresh=3, episodes=4)"
+    )
+    done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=100)
+    assert done.returncode == 1
+    assert 'call evaluate() below `if __name__ == "__main__":`' in done.stderr.splitlines()[-1]
+
+
+def test_a_seed_is_committed_to_without_a_simulator() -> None:
+    code = "import sys; sys.modules['pybullet'] = None; from evaluator.cli.main import cli; cli(['fresh', 'commit'])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100)
+    assert done.returncode == 0 and done.stdout.startswith("seed (keep it secret): ")

@@ -12,9 +12,10 @@ from click.testing import CliRunner
 from evaluator.cli.main import cli
 from evaluator.engines.child import process_pool
 from evaluator.policy import resolve
+from evaluator.protocol import SCENARIOS
 from evaluator.rollout.picks import open_picker
 from evaluator.scenarios import SPLITS, VERSION, load_list, manifest_path
-from evaluator.scenarios.generation import COUNTS, ROOT_SEED, write_lists
+from evaluator.scenarios.generation import ROOT_SEED, write_lists
 from evaluator.sim.parameters import WORLD
 from evaluator.sim.spawn import draw_episode, episode_generator
 from rema_data.errors import InputError, IntegrityError, PolicyFailureError
@@ -179,7 +180,7 @@ def test_tools_that_a_policy_picked(manifests: Path, tmp_path: Path, monkeypatch
 def test_the_shipped_lists(task: str, split: str) -> None:
     frozen = load_list(task, split)
     assert frozen.version == VERSION
-    assert len(frozen.scenarios) == COUNTS[split]
+    assert len(frozen.scenarios) == SCENARIOS[split]
     for scenario in frozen.scenarios:
         assert len(scenario.placements) == len(TASKS[task])
         assert len(scenario.grips) == len(tool_steps(task))
@@ -191,7 +192,7 @@ def test_the_shipped_lists(task: str, split: str) -> None:
 @pytest.mark.parametrize("task", TASKS)
 def test_no_scene_is_in_two_domains(task: str) -> None:
     test, val = ({scenario.placements for scenario in load_list(task, split).scenarios} for split in SPLITS)
-    assert len(test) == COUNTS["test"]
+    assert len(test) == SCENARIOS["test"]
     assert not test & val
     collected = {draw_episode(episode_generator(ROOT_SEED, "collect", task, n), task, WORLD) for n in range(1000)}
     calibrated = {draw_episode(episode_generator(ROOT_SEED, "calibrate", task, n), task, WORLD) for n in range(1000)}

@@ -13,6 +13,7 @@ import pytest
 from evaluator.scenarios import load_list
 from evaluator.scenarios.axes import AXES
 from evaluator.scenarios.drawn import work_folder
+from evaluator.scenarios.generation import write_lists
 from evaluator.scenarios.lists import versions
 from evaluator.scenarios.suite import CELL, draw_suite, shuffled, vary
 from evaluator.scenarios.suites import Cell, cells, cells_of, suite_length, suites
@@ -157,3 +158,16 @@ def test_the_manifest_counts_what_was_drawn_again_by_cell(few: Path) -> None:
     entry = json.loads(manifest.read_bytes())["lists"]["grasp/val"]
     assert set(entry["redrawn_by_cell"]) == {f"{axis} {level}" for axis in ("sense", "act") for level in (1, 2, 3)}
     assert sum(entry["redrawn_by_cell"].values()) == entry["redrawn"]
+
+
+def test_a_suite_and_clean_lists_do_not_share_a_folder(few: Path) -> None:
+    suite = draw_suite("tough", InThisProcess(), ["grasp"], {"val": 2})
+    clean = write_lists("plain", InThisProcess(), ("push",), {"test": 2, "val": 2})
+    before = suite.read_bytes(), clean.read_bytes()
+    with pytest.raises(InputError, match="tough holds a suite") as caught:
+        write_lists("tough", InThisProcess(), ("push",), {"test": 2, "val": 2})
+    assert caught.value.hint.startswith("add --suite")
+    with pytest.raises(InputError, match="plain holds clean lists") as caught:
+        draw_suite("plain", InThisProcess(), ["grasp"], {"val": 2})
+    assert caught.value.hint.startswith("drop --suite")
+    assert (suite.read_bytes(), clean.read_bytes()) == before

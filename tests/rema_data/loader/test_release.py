@@ -19,7 +19,7 @@ from rema_data.release.registry import register
 from rema_data.schema import Episode, Observation, Step
 from rema_data.store.block import BlockKey
 from rema_data.store.columns import EPISODE_COLUMNS, STEP_COLUMNS
-from rema_data.testing import synthetic_episode
+from rema_data.testing import make_release, synthetic_episode
 from tests.rema_data.loader.conftest import KEYS
 
 
@@ -194,3 +194,23 @@ def test_relative_paths_are_meant_from_where_they_were_given(
     assert len(opened.steps(tasks=["grasp"])) > 0 and opened.cache.folder is not None
     assert opened.cache.folder.is_relative_to(places / "caches") and list((places / "elsewhere").iterdir()) == []
     assert made_here.blocks() == small.blocks()
+
+
+def test_a_block_that_came_later_is_not_left_out(tmp_path: Path) -> None:
+    """A selection is whole or an error: what is decoded are the blocks that were there at first."""
+    made = make_release(tmp_path, "tiny", ("grasp", "push"), episodes=8)
+    away = tmp_path / "push"
+    shutil.move(made.path / "round-1" / "push", away)
+    release = rema_data.load(made.path, cache="memory")
+    assert len(release.steps(tasks=["grasp"])) > 0
+    shutil.move(away, made.path / "round-1" / "push")
+    later = (
+        lambda: release.steps(),
+        lambda: release.episode(1, "push", "train", 0),
+        lambda: next(release.iter_episodes()),
+    )
+    for ask in later:
+        with pytest.raises(MissingFileError, match="opened before round-1/push/train") as caught:
+            ask()
+        assert "rema_data.load('tiny')" in caught.value.hint
+    assert len(rema_data.load(made.path, cache="memory").steps()) > len(release.steps(tasks=["grasp"]))
