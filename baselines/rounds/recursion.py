@@ -98,7 +98,7 @@ def publish(plan: RecursionPlan, releases: Path) -> None:
         if not file.is_file():
             raise MissingFileError(f"{file} is not there yet", hint=f"finish it first: rema rounds {plan.path}")
     manifest = parse_manifest(path.read_bytes(), str(path))
-    register(manifest)
+    register(manifest, plan.continues)
     if large_enough(manifest):
         freeze_subsets(load(path.parent))
     for one in plan.policies:

@@ -97,6 +97,7 @@ class RecursionPlan:
     about: dict[str, Any]  # the texts and the seed, as a collection plan has them
     rounds: tuple[RoundPlan, ...]
     policies: tuple[Published, ...]  # built-in policies whose networks are trained here
+    continues: str | None  # the recursion whose rounds are the first ones
 
     @property
     def name(self) -> str:
@@ -172,7 +173,7 @@ def load_recursion(path: Path) -> RecursionPlan:
     content = read_toml(path)
     own = validated(_Recursion, content, str(path), hint=_HINT)
     about = {key: value for key, value in content.items() if key not in _OWN}
-    plan = RecursionPlan(path, about, _rounds(path, own), _published(own))
+    plan = RecursionPlan(path, about, _rounds(path, own), _published(own), own.continues)
     folders = {network.folder for entry in plan.rounds for network in entry.networks}
     for one in plan.policies:
         if one.policy not in LEARNED or one.folder not in folders or one.task not in (None, *TASKS):

@@ -17,7 +17,7 @@ from rema_data.loader.record import has_digests
 from rema_data.loader.release import Release
 from rema_data.progress import Progress, Silent
 from rema_data.release.folder import ReleaseFolder
-from rema_data.release.registry import SAMPLE, load_published, published
+from rema_data.release.registry import load_published, preferred, published
 from rema_data.repair import install, reinstall
 
 __all__ = ["NEEDED_PER_S", "Diagnosis", "diagnose"]
@@ -89,14 +89,13 @@ def diagnose(read_seconds: float = 1.0, progress: Progress | None = None, conten
 
 
 def _newest(releases: Sequence[ReleaseState]) -> ReleaseFolder | None:
-    """The release to read: the newest published one, else the sample, else any other."""
+    """The release to read: the first of ``preferred``, else any other."""
     here = [state for state in releases if state.ok and state.blocks and state.folder is not None]
-    published = [state for state in here if state.identity == "published"]  # in the order of their publication
-    preferred = [state for state in published if state.name != SAMPLE] or published or here
-    if not preferred:
-        return None
-    same = [state for state in preferred if state.name == preferred[-1].name]
-    return max(same, key=lambda state: state.blocks).folder
+    published = [state for state in here if state.identity == "published"]
+    if not published:
+        return here[-1].folder if here else None
+    order = preferred()
+    return min(published, key=lambda state: (order.index(state.name), -state.blocks)).folder
 
 
 def _problems(versions: Sequence[PackageVersion], state: Home, releases: Sequence[ReleaseState]) -> Iterator[str]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from rema_data.errors import InputError, IntegrityError, MissingFileError, RemaError
 from rema_data.release.manifest import MANIFEST, BlockEntry, FileEntry, Manifest, parse_manifest
-from rema_data.release.registry import SAMPLE, load_published, published
+from rema_data.release.registry import load_published, preferred, published
 from rema_data.repair import ReleaseRepair, release_manifest
 from rema_data.storage import absolute, rema_home
 
@@ -179,9 +179,8 @@ def _parse_beside_data(path: Path) -> Manifest:
 
 
 def _find_default() -> ReleaseFolder:
-    """The newest published release that is here, else the sample."""
-    names = reversed([*published()])
-    for name in sorted(names, key=lambda name: name == SAMPLE):
+    """The first of ``preferred`` that is here."""
+    for name in preferred():
         try:
             return find_release(name)
         except MissingFileError:

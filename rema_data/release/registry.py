@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from rema_data.errors import InputError, MissingFileError
 from rema_data.locks import lock
@@ -12,7 +13,7 @@ from rema_data.release.manifest import Manifest, check_name, parse_manifest
 from rema_data.repair import restore
 from rema_data.storage import write_atomic
 
-__all__ = ["SAMPLE", "load_published", "newest", "published", "register"]
+__all__ = ["SAMPLE", "load_published", "newest", "preferred", "published", "register"]
 
 SAMPLE = "rema-sample"
 """The release that ships inside the wheel."""
@@ -22,24 +23,48 @@ def _folder() -> Path:
     return manifests_dir() / "datasets"
 
 
+class _Entry(NamedTuple):
+    """A published release: sha256 of its manifest, and the published release that it continues, if any."""
+
+    sha256: str
+    continues: str | None
+
+
+def _index() -> dict[str, _Entry]:
+    """All entries, by name, in the order of publication."""
+
+    def entries(content: Any) -> dict[str, _Entry]:
+        rows = content["releases"]
+        return {check_name(row["name"]): _Entry(str(row["sha256"]), row.get("continues")) for row in rows}
+
+    return read_manifest(_folder() / "index.json", "the index of releases", entries)
+
+
 def published() -> dict[str, str]:
     """sha256 of the manifest of every release, by name, in the order of publication.
 
     Raises MissingFileError or IntegrityError where the index does not exist or cannot be read.
     """
-    return read_manifest(
-        _folder() / "index.json",
-        "the index of releases",
-        lambda content: {check_name(row["name"]): str(row["sha256"]) for row in content["releases"]},
-    )
+    return {name: entry.sha256 for name, entry in _index().items()}
+
+
+def preferred() -> list[str]:
+    """Names in the order in which one is taken where none is given: the newest first, the bundled sample last.
+
+    What continues another release, with a further task or other scenes, comes after those that continue none: it is
+    taken by its name.
+    """
+    index = _index()
+    newest_first = [*reversed(index)]
+    return sorted(newest_first, key=lambda name: (name == SAMPLE, index[name].continues is not None))
 
 
 def newest() -> str:
-    """Name of the release published last, the bundled sample aside."""
-    names = [name for name in published() if name != SAMPLE]
+    """Name of the release that is taken where none is given, the bundled sample aside."""
+    names = [name for name in preferred() if name != SAMPLE]
     if not names:
         raise MissingFileError("no release has been published", hint=f"use the bundled sample: {SAMPLE}")
-    return names[-1]
+    return names[0]
 
 
 def load_published(name: str) -> Manifest:
@@ -56,20 +81,26 @@ def load_published(name: str) -> Manifest:
     return parse_manifest(path.read_bytes(), str(path), entries[name], restore(path))
 
 
-def register(manifest: Manifest) -> Path:
-    """Enter a sealed release at the end of the index; its manifest's path. InputError if the name is taken."""
+def register(manifest: Manifest, continues: str | None = None) -> Path:
+    """Enter a sealed release at the end of the index; its manifest's path. InputError if the name is taken.
+
+    ``continues`` names the published release whose rounds are its first ones.
+    """
     folder = _folder()
     path = folder / f"{manifest.name}.json"
     with lock(folder / ".index.json.lock", wait=True):  # held for milliseconds: wait for it
-        entries = published() if (folder / "index.json").exists() else {}
-        known = entries.setdefault(manifest.name, manifest.sha256)
-        if known != manifest.sha256:
+        entries = _index() if (folder / "index.json").exists() else {}
+        known = entries.setdefault(manifest.name, _Entry(manifest.sha256, continues))
+        if known.sha256 != manifest.sha256:
             raise InputError(
-                f"release {manifest.name} is published with other content ({known[:12]})",
+                f"release {manifest.name} is published with other content ({known.sha256[:12]})",
                 hint="publish the new content under a new name",
                 name=manifest.name,
             )
         write_atomic(path, manifest.to_bytes())
-        rows = [{"name": name, "sha256": sha256} for name, sha256 in entries.items()]
+        rows = [
+            {"name": name} | {key: value for key, value in entry._asdict().items() if value is not None}
+            for name, entry in entries.items()
+        ]
         write_atomic(folder / "index.json", json.dumps({"releases": rows}, indent=1) + "\n")
     return path

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 
 from rema_data.errors import InputError, IntegrityError, MissingFileError
 from rema_data.release.folder import ReleaseFolder
-from rema_data.release.registry import SAMPLE, load_published, newest, published, register
+from rema_data.release.registry import SAMPLE, load_published, newest, preferred, published, register
 from rema_data.repair import restore
 
 
@@ -59,6 +60,16 @@ def test_the_newest_is_the_last_but_the_sample(places: Path, tiny: ReleaseFolder
         register(renamed(tiny, name).manifest)
     assert list(published()) == ["b-first", "a-second", SAMPLE]
     assert newest() == "a-second"
+
+
+def test_what_continues_a_release_is_taken_by_its_name(places: Path, tiny: ReleaseFolder) -> None:
+    """The newest is one that a user of the paper's tasks expects; a further task or other scenes are asked for."""
+    for name, continues in (("first", None), ("second", None), ("second-more", "second"), (SAMPLE, None)):
+        register(renamed(tiny, name).manifest, continues)
+    register(renamed(tiny, "second-more").manifest)  # once more, by `rema collect --register`: nothing changes
+    assert preferred() == ["second", "first", "second-more", SAMPLE] and newest() == "second"
+    rows = json.loads((places / "manifests" / "datasets" / "index.json").read_bytes())["releases"]
+    assert [row.get("continues") for row in rows] == [None, None, "second", None]
 
 
 def test_an_unknown_name_lists_the_known_ones(places: Path, tiny: ReleaseFolder) -> None:
