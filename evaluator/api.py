@@ -160,10 +160,13 @@ def _scenarios(
         return suite, length if episodes is None else episodes
     if fresh is not None:
         from evaluator.protocol import FRESH_SCENARIOS
-        from evaluator.runner.fresh import fresh_list
+        from evaluator.sim.bullet import require_bullet
 
         if split != "test":
             raise InputError(f"a fresh list has no {split} split", hint="drop --split")
+        require_bullet()
+        from evaluator.runner.fresh import fresh_list
+
         count = FRESH_SCENARIOS if episodes is None else episodes
         return fresh_list(fresh, task, count, workers, progress), count
     from evaluator.scenarios.lists import installed_list

@@ -162,7 +162,7 @@ def test_the_published_networks_are_whole() -> None:
             assert json.loads(card.read_text())["format"].startswith("rema tae checkpoint")
 
 
-@pytest.mark.parametrize(("policy", "task"), [("tae-joint", "grasp_push"), ("tae-separate", "push")])
+@pytest.mark.parametrize(("policy", "task"), [("tae-joint", "grasp_grasp_push"), ("tae-separate", "push")])
 def test_the_published_networks_play(policy: str, task: str, tmp_path: Path) -> None:
     """With a name alone, as the README has it; the evaluator never has torch or the network in its process."""
     command = [sys.executable, "-c", EVALUATOR, "evaluate", policy, "--task", task, "--json"]

@@ -173,7 +173,22 @@ def test_a_program_that_cannot_be_imported_anew_is_told_what_it_lacks(tmp_path: 
     assert 'call evaluate() below `if __name__ == "__main__":`' in done.stderr.splitlines()[-1]
 
 
-def test_a_seed_is_committed_to_without_a_simulator() -> None:
-    code = "import sys; sys.modules['pybullet'] = None; from evaluator.cli.main import cli; cli(['fresh', 'commit'])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100)
-    assert done.returncode == 0 and done.stdout.startswith("seed (keep it secret): ")
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["fresh", "commit"], 0, "seed (keep it secret): "),
+        (
+            ["evaluate", "random", "--task", "grasp", "--fresh", "3"],
+            2,
+            "simulation needs PyBullet, which is not installed",
+        ),
+    ],
+)
+def test_without_a_simulator_a_seed_can_be_committed_to(words: list[str], code: int, said: str) -> None:
+    hidden = (
+        "import sys, importlib.util as u; sys.modules['pybullet'] = None; there = u.find_spec; "
+        "u.find_spec = lambda name, package=None: None if name == 'pybullet' else there(name, package); "
+    )
+    run = f"from evaluator.cli.main import cli; cli({words})"
+    done = subprocess.run([sys.executable, "-c", hidden + run], capture_output=True, text=True, timeout=100)
+    assert done.returncode == code and said in done.stdout + done.stderr
