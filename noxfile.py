@@ -46,6 +46,13 @@ def tests(session: nox.Session) -> None:
 
 
 @nox.session
+def slow(session: nox.Session) -> None:
+    """The proofs that take minutes each."""
+    session.install(".[test,ray]")
+    session.run("pytest", "-m", "slow", *session.posargs)
+
+
+@nox.session
 def benchmarks(session: nox.Session) -> None:
     """Every benchmark at a reduced size."""
     session.install(".[test]")

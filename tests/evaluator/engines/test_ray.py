@@ -150,6 +150,7 @@ def test_the_real_world_on_a_machine_that_is_killed(
     assert tables[0] == tables[1]
 
 
+@pytest.mark.slow
 def test_a_suite_has_the_same_bytes(fake_home: Path) -> None:
     """What a scenario changes travels with it: the outcomes of the fake world follow from all of it."""
     count = len(write_suite(fake_home / "manifests"))
@@ -180,6 +181,7 @@ def test_a_frozen_suite_has_the_same_bytes(tmp_path: Path, monkeypatch: pytest.M
     assert tables[0] == tables[1]
 
 
+@pytest.mark.slow
 def test_a_collection_has_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("baselines.rounds.collect.call_in_child", lambda target: fake_fingerprint())
     world = fake_backend(simulator=CLUSTER_SIMULATOR)
@@ -201,6 +203,7 @@ def test_simulators_that_die_are_replaced_where_they_are(order: Order, tmp_path:
     assert all(outcomes(results)[key] == right[key] for key in right if key not in (11, 30))
 
 
+@pytest.mark.slow
 def test_an_episode_that_costs_two_actors_is_given_up(order: Order) -> None:
     order(lose=[13])
     jobs, engine = fake_jobs(40), RayEngine(CLUSTER_SIMULATOR, 1)

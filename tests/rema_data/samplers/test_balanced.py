@@ -224,6 +224,7 @@ def test_kinds_of_tables(kind: str) -> None:
     assert (rows_of(list(BalancedSampler(made, 8))) == expected).all()
 
 
+@pytest.mark.slow
 def test_more_rows_than_float32_can_count() -> None:
     rows = 2**24 + 1000
     columns = {"task": (np.arange(rows) % 5).astype(np.int8), "success": np.arange(rows) % 7 == 0}
