@@ -13,7 +13,7 @@ from tests.mutations.mutators import FORGERIES, damaged
 from tests.mutations.parsers import PARSERS
 from tests.mutations.trial import GOOD, ROOT, Trial, trials
 
-COUNT = 8
+COUNT = 12
 """Inputs of each parser here; ``benchmarks/mutations.py`` takes 600."""
 
 

@@ -166,8 +166,8 @@ def test_the_published_networks_are_whole() -> None:
 def test_the_published_networks_play(policy: str, task: str, tmp_path: Path) -> None:
     """With a name alone, as the README has it; the evaluator never has torch or the network in its process."""
     command = [sys.executable, "-c", EVALUATOR, "evaluate", policy, "--task", task, "--json"]
-    command += ["--episodes", "4", "--workers", "1", "--output", str(tmp_path / "run")]
+    command += ["--episodes", "8", "--workers", "1", "--output", str(tmp_path / "run")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout)
-    assert summary["episodes"] == 4 and summary["policy_errors"] == 0 and summary["successes"] > 0
+    assert summary["episodes"] == 8 and summary["policy_errors"] == 0 and summary["successes"] > 0
