@@ -16,7 +16,7 @@ def test_the_committed_page_is_made_from_the_committed_result() -> None:
     assert all(f"| {policy} |" in text for policy in POLICIES)
 
 
-@pytest.mark.benchmark
+@pytest.mark.slow  # tests/examples trains and scores one of each at this size
 def test_examples(tmp_path: Path) -> None:
     pytest.importorskip("sklearn")
     words = ("--release", "rema-sample", "--batches", "200", "--episodes", "10", "--output", str(tmp_path / "runs"))
