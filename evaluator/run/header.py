@@ -221,7 +221,8 @@ def resume_command(header: dict[str, Any], folder: Path) -> str:
         noted = {str(segment[option]) for segment in header["segments"] if segment.get(option) is not None}
         if len(noted) == 1:  # a merged run has several shards, and continues as a whole
             words += [f"--{option.replace('_', '-')}", *noted]
-    episodes = count_of(version) if version.startswith(FRESH) else header["episodes"]  # which names a fresh list
+    # The number of scenarios is part of the name of a fresh list, also where a quick run stopped before its end.
+    episodes = count_of(version) if version.startswith(FRESH) else header["episodes"]
     words += ["--episodes", str(episodes), "--output", str(folder)]
     return shlex.join(words)
 

@@ -39,7 +39,7 @@ def fresh_list(seed: int, task: str, count: int, workers: int | None, progress: 
     except BrokenProcessPool as error:
         raise InputError(
             "the processes that draw a fresh list ended before they had begun",
-            hint='call evaluate() below `if __name__ == "__main__":`, since each of them imports the program anew; or '
+            hint='call evaluate() below `if __name__ == "__main__":`, since each of them imports your program; or '
             f"draw the list once with `rema evaluate random --task {task} --fresh {seed} --episodes {count}`",
         ) from error
 

@@ -49,7 +49,7 @@ def draw_fresh(
         return version
     manifest = manifest_path(version)
     manifest.parent.mkdir(parents=True, exist_ok=True)
-    # The pool comes first: a program that each of its processes runs anew would wait for the lock in all of them.
+    # The pool first: where its processes run the user's script again, they would wait for a lock that this one holds.
     with open_pool() as pool, lock(manifest.with_name(".lock"), wait=True):
         if _is_here(task, version):
             return version

@@ -151,8 +151,8 @@ def check_kind(manifest: Path, version: str, *, suite: bool) -> None:
     if not manifest.is_file():
         return
     if suite != read_manifest(manifest, "scenario manifest", lambda content: SUITE in content):
-        what, mend = ("clean lists", "drop --suite") if suite else ("a suite", "add --suite")
-        raise InputError(f"{version} holds {what}", hint=f"{mend}, or choose another VERSION", path=str(manifest))
+        found, fix = ("clean lists", "drop --suite") if suite else ("a suite", "add --suite")
+        raise InputError(f"{version} holds {found}", hint=f"{fix}, or choose another name", path=str(manifest))
 
 
 def named_list(manifest: Path, task: str, split: str) -> dict[str, Any] | None:

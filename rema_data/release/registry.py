@@ -49,10 +49,9 @@ def published() -> dict[str, str]:
 
 
 def preferred() -> list[str]:
-    """Names in the order in which one is taken where none is given: the newest first, the bundled sample last.
+    """Names in the order of the default: the newest release that continues no other first, the bundled sample last.
 
-    What continues another release, with a further task or other scenes, comes after those that continue none: it is
-    taken by its name.
+    A release that continues another one adds a task or other scenes to it: users ask for it by its name.
     """
     index = _index()
     newest_first = [*reversed(index)]
@@ -60,7 +59,7 @@ def preferred() -> list[str]:
 
 
 def newest() -> str:
-    """Name of the release that is taken where none is given, the bundled sample aside."""
+    """Name of the default release, the bundled sample aside."""
     names = [name for name in preferred() if name != SAMPLE]
     if not names:
         raise MissingFileError("no release has been published", hint=f"use the bundled sample: {SAMPLE}")

@@ -163,7 +163,7 @@ def test_a_list_that_is_here_starts_no_process() -> None:
     assert draw_fresh(5, "grasp", 30, no_pool, no_picker) == version
 
 
-def test_a_program_that_cannot_be_imported_anew_is_told_what_it_lacks(tmp_path: Path) -> None:
+def test_a_script_without_a_main_guard_is_told_what_it_lacks(tmp_path: Path) -> None:
     """Its processes import it, and would draw again."""
     (tmp_path / "script.py").write_text(
         "import evaluator\nevaluator.evaluate('random', task='grasp', fresh=3, episodes=4)"
